@@ -30,13 +30,14 @@ from taichi_cloth.scene.model import (
 from taichi_cloth.scene.obstacles import CONTACTS, Obstacle
 from taichi_cloth.scene.solids import (
     depths,
+    goes_through,
     inside_at_start,
     met_by_faces,
     solids,
     surface,
-    through_at_start,
 )
 from taichi_cloth.settings.options import RunOptions
+from taichi_cloth.simulation.checkpoint import Checkpoint
 from taichi_cloth.simulation.simulation import Simulation
 
 G, RADIUS = 9.81, 0.1
@@ -670,15 +671,61 @@ def test_a_cloth_that_begins_through_a_box_is_not_thrown(device, capsys):
     for obstacle in (rod, Obstacle.build("box", centre=[5.0, 0.9, 0.0], half=[0.3, 0.12, 0.3])):
         near = loose_sheet(obstacle)
         assert len(inside_at_start(near, solids(near)).particles)
-        assert not through_at_start(near, solids(near)).any()
+        assert not through_from_start(near).any()
     held = replace(scene, particles=replace(scene.particles, fixed=np.ones(81, bool)))
-    assert not through_at_start(held, solids(held)).any()
-    through, elements = through_at_start(scene, solids(scene)), scene.elements
+    assert not through_from_start(held).any()
+    through, elements = through_from_start(scene), scene.elements
     fixed = np.arange(81) == elements[through][0, 0]  # of one particle that is fixed: its faces
     held = replace(scene, particles=replace(scene.particles, fixed=fixed))
-    np.testing.assert_array_equal(
-        through_at_start(held, solids(held)), through & ~fixed[elements].any(axis=1)
-    )
+    np.testing.assert_array_equal(through_from_start(held), through & ~fixed[elements].any(axis=1))
+
+
+def through_from_start(scene):
+    """Which of a scene's elements begin through an obstacle, (m,) bool."""
+    every = np.ones(len(scene.elements), bool)
+    return goes_through(scene, solids(scene), scene.particles.position, 0.0, every)
+
+
+def test_faces_that_are_put_through_an_obstacle_stay_through_it(device, tmp_path):
+    """It is asked where it is by then; what is pinned, gone back to or removed later is no matter,
+    and those that are put outside of it meet it again."""
+    half, still = [0.0005, 0.16, 0.14], {"gravity": (0.0, 0.0, 0.0)}
+    there = loose_sheet(Obstacle.build("box", centre=[5.0, 1.0, 0.02], half=half), **still)
+    expected, put = through_from_start(there), there.particles.position
+    assert expected.sum() == 13
+    moves = {"centre": [4.0, 1.0, 0.02], "velocity": [2.0, 0.0, 0.0], "stops": 0.5}
+    scene = loose_sheet(Obstacle.build("box", half=half, **moves), **still)
+    away = replace(scene.particles, position=put + [0.0, 2.0, 0.0])
+    scene = replace(scene, particles=away)
+    sim = Simulation(scene, substeps=8, topology="graph", execution="serial")
+    sim.advance(31)
+    assert sim.through_at_start() == 0
+    sim.set(positions=put, velocities=np.zeros(3))
+    corner = there.elements[expected][0, 0]
+    sim.pin([corner])
+    sim.set(stiffness=20.5)
+    assert sim.through_at_start() == 13
+    kept = sim.checkpoint()
+    kept.save(tmp_path / "there.npz")
+    ends, rest = scene.springs.between, scene.springs.rest_length
+    energies, ways = [], []
+    for _ in range(20):
+        sim.advance()
+        x, v = sim.positions(), sim.velocities()
+        lengths = np.linalg.norm(x[ends[:, 0]] - x[ends[:, 1]], axis=1)
+        energies.append(10.25 * ((lengths - rest) ** 2).sum() + 0.5e-3 * (v**2).sum())
+        ways.append(x)
+    assert max(energies) == energies[0] and sim.unsettled_faces() == 0
+    sim.set(stiffness=20.0)  # it is loaded anew, and then again
+    for back in (kept, Checkpoint.load(tmp_path / "there.npz")):
+        sim.restore(back)
+        sim.advance(20)
+        np.testing.assert_array_equal(sim.positions(), ways[-1])
+    sim.remove([corner])
+    gone = (there.elements == corner).any(axis=1)
+    assert sim.through_at_start() == (expected & ~gone).sum() < 13
+    sim.set(positions=np.delete(put, corner, axis=0) + [0.0, 0.3, 0.0], velocities=np.zeros(3))
+    assert sim.through_at_start() == 0
 
 
 def test_the_search_for_faces_of_what_may_tear_reads_no_field_outside_of_it():

@@ -220,19 +220,28 @@ class Inside:
 
 def inside_at_start(scene: Scene, solids: Sequence[Solid]) -> Inside:
     """Which of a scene's free particles have to be pushed out of what is in their way at time 0."""
-    particles = scene.particles
-    x, radius = particles.position.copy(), particles.radius
+    return _inside(scene, solids, scene.particles.position, 0.0, ~scene.particles.fixed)
+
+
+def _inside(
+    scene: Scene, solids: Sequence[Solid], x: np.ndarray, time: float, asked: np.ndarray
+) -> Inside:
+    """Which of the particles that are asked for, (n,) bool, are inside of a solid at a time, at x.
+
+    x: (n, dim), where the scene's particles are then.
+    """
+    radius = scene.particles.radius
     allowed = ROUNDING * (radius + np.abs(x).max(axis=1, initial=0.0))
 
     def deep(x: np.ndarray, radius: np.ndarray) -> np.ndarray:
-        gaps = [radius - solid.distances(x, 0.0)[0] for solid in solids]
+        gaps = [radius - solid.distances(x, time)[0] for solid in solids]
         return np.array(gaps).reshape(len(solids), len(x))
 
     depth = deep(x, radius)
-    found = np.flatnonzero((depth > allowed).any(axis=0) & ~particles.fixed)
+    found = np.flatnonzero((depth > allowed).any(axis=0) & asked)
     deepest = depth[:, found].argmax(axis=0) if len(found) else np.zeros(0, np.int64)
     radius = radius[found]
-    x = _pushed_out(x[found], radius, solids)
+    x = _pushed_out(x[found], radius, solids, time)
     left = deep(x, radius).max(axis=0, initial=0.0)
     stuck = found[
         left > allowed[found] + STUCK * np.maximum(depth[:, found].max(axis=0, initial=0.0), radius)
@@ -240,59 +249,67 @@ def inside_at_start(scene: Scene, solids: Sequence[Solid]) -> Inside:
     return Inside(found, [solids[s].name for s in deepest], stuck, x)
 
 
-def _pushed_out(x: np.ndarray, radius: np.ndarray, solids: Sequence[Solid]) -> np.ndarray:
+def _pushed_out(
+    x: np.ndarray, radius: np.ndarray, solids: Sequence[Solid], time: float
+) -> np.ndarray:
     """Where balls of radius (n,) at x (n, dim) are once all solids, by turns, have pushed them."""
     x = x.copy()
     for _ in range(PUSHES if len(x) else 0):
         for solid in solids:
-            distance, normal = solid.distances(x, 0.0)
+            distance, normal = solid.distances(x, time)
             x -= np.minimum(distance - radius, 0.0)[:, None] * normal
     return x
 
 
-def through_at_start(scene: Scene, solids: Sequence[Solid]) -> np.ndarray:
+def goes_through(
+    scene: Scene, solids: Sequence[Solid], x: np.ndarray, time: float, asked: np.ndarray
+) -> np.ndarray:
     """Which of a scene's `elements` go through a sharp solid once their corners are pushed out of
-    where they begin, (m,) bool: these are then on several of its sides.
+    where they are put, (m,) bool: these are then on several of its sides.
+
+    x: (n, dim), where particles are put at a time; asked: (m,) bool, which elements are asked for.
 
     No push would take such a face out: pushes would go on for ever, and throw the cloth. What is
     less deep in it than THROUGH of its longest side, as on an edge, and does not go through its
     middle (`_is_split`) is none of them, and what has a fixed corner neither.
     """
-    elements, start = scene.elements, scene.particles.position
-    through, is_inside = np.zeros(len(elements), bool), np.zeros(len(start), bool)
-    inside, x = inside_at_start(scene, solids), start.copy()
+    elements, fixed, put = scene.elements, scene.particles.fixed, x
+    through, corner = np.zeros(len(elements), bool), np.zeros(len(x), bool)
+    corner[elements[asked]] = True
+    inside = _inside(scene, solids, put, time, corner & ~fixed)
     if not len(inside.particles):
         return through
     met = met_by_faces(scene, solids)
     sharp = [solid for solid in solids if solid.name in met]
     if not sharp:
         return through
+    x, is_inside = put.copy(), np.zeros(len(put), bool)
     x[inside.particles], is_inside[inside.particles] = inside.pushed, True
-    asked = is_inside[elements].any(axis=1) & ~scene.particles.fixed[elements].any(axis=1)
-    began, corners = start[elements[asked]], x[elements[asked]]
+    asked = asked & is_inside[elements].any(axis=1) & ~fixed[elements].any(axis=1)
+    began, corners = put[elements[asked]], x[elements[asked]]
     side = np.linalg.norm(began - np.roll(began, 1, axis=1), axis=2).max(axis=1, initial=0.0)
     depth = np.full(len(corners), -np.inf)
     for shares in ((1, 1, 1), (1, 1, 0), (0, 1, 1), (1, 0, 1)):
         point = np.einsum("k,mkd->md", np.array(shares) / sum(shares), corners)
         for solid in sharp:
-            depth = np.maximum(depth, -1.0 * solid.distances(point, 0.0)[0])
+            depth = np.maximum(depth, -1.0 * solid.distances(point, time)[0])
     split = np.zeros(len(corners), bool)
     for k in range(3):
         ends = corners[:, k], corners[:, (k + 1) % 3]
         for solid in sharp:
-            split |= _is_split(solid, *ends)
+            split |= _is_split(solid, *ends, time)
     through[asked] = (depth > THROUGH * side) | split
     return through
 
 
-def _is_split(solid: Solid, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _is_split(solid: Solid, a: np.ndarray, b: np.ndarray, time: float) -> np.ndarray:
     """Whether edges from a to b, (m, dim) each, go through the middle of a solid, (m,) bool: what
     pushes their one part out of it would push the other the opposite way, as in a plate thinner
     than they are long.
     """
 
     def look(part: np.ndarray, aside: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-        return solid.distances(a + part[:, None] * (b - a) + aside, 0.0)
+        return solid.distances(a + part[:, None] * (b - a) + aside, time)
 
     low, high = np.zeros(len(a)), np.ones(len(a))
     for _ in range(SECTIONS):  # of where it is deepest: there is one such place

@@ -81,7 +81,7 @@ def with_values(now: Snapshot, given: Mapping[str, Any], selection: Selection) -
         scene = scene.with_parts(springs=_with_numbers(scene.springs, of_springs, tied, x))
     if OF_STENCILS in given:
         scene = scene.with_parts(stencils=_with_bending(scene, given[OF_STENCILS]))
-    return Snapshot(scene, x, v, now.marks)
+    return replace(now.moved(x, v), scene=scene)
 
 
 def with_spring(now: Snapshot, i: int, j: int, given: Mapping[str, Any]) -> tuple[Snapshot, int]:
@@ -155,7 +155,9 @@ def without(now: Snapshot, particles: np.ndarray) -> tuple[Snapshot, np.ndarray]
         triangles=number[scene.triangles[whole]],
         stencils=scene.stencils.without(gone).renumbered(number),
     )
-    return Snapshot(scene, now.x[left], now.v[left], now.marks[holds]), left
+    judged = now.judged.without(gone)
+    judged = replace(judged, elements=number[judged.elements])
+    return Snapshot(scene, now.x[left], now.v[left], now.marks[holds], judged), left
 
 
 def same(a: Snapshot, b: Snapshot) -> bool:

@@ -174,9 +174,9 @@ class Readings(Part):
         return inside_at_start(scene, self.storage.solids)
 
     def through_at_start(self) -> int:
-        """How many faces and edges begin so far inside a sharp obstacle that its pushes leave them
-        through it: there it keeps out their particles alone."""
-        return int(self.storage.through_at_start().sum())
+        """How many faces and edges begin, or were put, so far inside a sharp obstacle that its
+        pushes leave them through it: there it keeps out their particles alone."""
+        return self.storage.through()
 
     def unsettled(self) -> int:
         """How many steps ended with resting pairs that overlap by more than a hundredth of their

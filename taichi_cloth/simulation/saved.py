@@ -20,7 +20,7 @@ from taichi_cloth.scene.model import Particles, Scene, Springs, World
 from taichi_cloth.scene.obstacles import Obstacle
 from taichi_cloth.scene.stencils import Stencils
 from taichi_cloth.settings import accepted
-from taichi_cloth.simulation.snapshot import Snapshot
+from taichi_cloth.simulation.snapshot import Judged, Snapshot
 from taichi_cloth.simulation.storage.kept import Kept
 
 VERSION = 1  # of the file; another one is refused
@@ -85,6 +85,7 @@ def into(file: PendingFile, parts: Mapping[str, Any], about: Mapping[str, Any]) 
     kept: Kept = parts["kept"]
     scene = kept.taken.scene
     arrays: dict[str, Any] = {"marks": kept.taken.marks, "triangles": scene.triangles}
+    arrays |= {f"judged.{key}": of for key, of in vars(kept.taken.judged).items()}
     for name in TABLES:
         table = vars(getattr(scene, name))
         arrays |= {f"{name}.{key}": column for key, column in table.items()}
@@ -158,6 +159,7 @@ def _parts(meta: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str, Any
     settings["_unsettled"] = arrays.get("unsettled", np.zeros(2, np.int64))  # older files have none
     settings.setdefault("_first", 0)
     settings["_since"] = tuple(settings["_since"])
+    judged = Judged(**under("judged")) if under("judged") else Judged.none()  # of older files
     auto = meta["auto"]
     if auto is not None:
         auto["vectors"] = [arrays.get(f"auto.{k}") for k in range(2)]
@@ -168,7 +170,7 @@ def _parts(meta: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str, Any
         "settings": settings,
         "auto": auto,
         "kept": Kept(
-            taken=Snapshot(scene, x, v, arrays["marks"]),
+            taken=Snapshot(scene, x, v, arrays["marks"], judged),
             fields=under("field"),
             spec=Specialization(**spec),
             **meta["kept"],

@@ -388,6 +388,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
             if self._widens and self._preferred == "lanes":
                 self._widen(snapshot)
             self._watch = autotune.Watch(choice, self.substeps)
+        self.storage.judge(self.time)
         self.storage.load(self._preferred, self.execution, self._numbers())
         self.topology = self.storage.topology  # the graph, while there is no regular grid
         self.storage.mark_new_springs(self.steps)
@@ -423,7 +424,8 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         x = accepted.array("load_as: x", x, shape, "particles, dimensions")
         v = accepted.array("load_as: v", v, shape, "particles, dimensions")
         pushed, held = self.storage.pushed, self.storage.held()
-        self.storage.move(x, v)
+        self.storage.move(self.positions(), x, v)
+        self.storage.judge(self.time)
         self._take_unsettled()
         self.storage.load(topology, path, self._numbers())
         self.storage.hold_again(held, pushed)
@@ -507,7 +509,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
             refuse_unholdable(edited.scene, self._launcher.device.precision, now.scene)
             if self._auto:
                 self._take_substeps(self._auto.after_edit(now, edited))
-            if self.storage.change_particles(now, edited, self._numbers()):
+            if self.storage.change_particles(now, edited, self._numbers(), self.time):
                 self.storage.mark_new_springs(self.steps)
             else:
                 self._store(edited)

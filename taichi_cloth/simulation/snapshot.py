@@ -15,17 +15,54 @@ OWN = frozenset({"fixed", "mass", "color"})
 
 
 @dataclass(frozen=True)
+class Judged:
+    """Which of a scene's `elements` go through an obstacle since they were put where they are.
+
+    elements: (m, 3), by their corners, those that were looked at since. through: (m,) bool, those
+    that go through one (`solids.goes_through`), which keeps out their particles alone.
+    """
+
+    elements: np.ndarray
+    through: np.ndarray
+
+    @classmethod
+    def none(cls) -> Judged:
+        """None was looked at."""
+        return cls(np.zeros((0, 3), np.int64), np.zeros(0, bool))
+
+    def without(self, gone: np.ndarray) -> Judged:
+        """What is known of elements that have none of some particles, (n,) bool."""
+        left = ~gone[self.elements].any(axis=1)
+        return Judged(self.elements[left], self.through[left])
+
+    def of(self, elements: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of elements (k, 3), which ones are known, and which of these go through, (k,) bool."""
+        if len(self.elements) == 0:
+            return np.zeros(len(elements), bool), np.zeros(len(elements), bool)
+        if np.array_equal(elements, self.elements):
+            return np.ones(len(elements), bool), self.through
+        both = np.concatenate([self.elements, elements])
+        _, number = np.unique(both, axis=0, return_inverse=True)
+        number, was = number.ravel(), np.full(len(both), -1)
+        was[number[: len(self.elements)]] = self.through
+        found = was[number[len(self.elements) :]]
+        return found >= 0, found > 0
+
+
+@dataclass(frozen=True)
 class Snapshot:
     """Where the particles of a scene are, and which of its springs are broken.
 
     scene: with all that was spawned, every particle where it began. x, v: (n, dim), where it is
     now. marks: (s, 2) int32, status (ALIVE, BREAKING, GONE) and break step of every spring.
+    judged: what is known of its faces; nothing while no obstacle is sharp.
     """
 
     scene: Scene
     x: np.ndarray
     v: np.ndarray
     marks: np.ndarray
+    judged: Judged = Judged.none()  # noqa: RUF009, of which nothing is written to
 
     @classmethod
     def at_start(cls, scene: Scene, marks: np.ndarray | None = None) -> Snapshot:
@@ -46,6 +83,11 @@ class Snapshot:
         pulling: np.ndarray = self.marks[:, 0] != GONE
         return pulling
 
+    def moved(self, x: np.ndarray, v: np.ndarray) -> Snapshot:
+        """The state with particles put at x with v, (n, dim): of whose faces nothing is known."""
+        judged = self.judged.without((x != self.x).any(axis=1))
+        return replace(self, x=x, v=v, judged=judged)
+
     def with_particle(self, new: Particles, tied_to: int | None) -> Snapshot:
         """The state with one particle more, tied to one of the others or to none."""
         particles, springs, marks = self.scene.particles, self.scene.springs, self.marks
@@ -56,7 +98,7 @@ class Snapshot:
             springs = springs.joined(tie)
             marks = np.concatenate([marks, np.array([[ALIVE, 0]], np.int32)])
         scene = replace(self.scene, particles=particles.joined(new), springs=springs)
-        return Snapshot(scene, x, np.concatenate([self.v, new.velocity]), marks)
+        return Snapshot(scene, x, np.concatenate([self.v, new.velocity]), marks, self.judged)
 
     def network(self, among: Networks | None = None) -> Network:
         """The particles where they are, and the springs that pull.

@@ -14,7 +14,7 @@ from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.runtime import Device
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.scene.solids import Solid, met_by_faces, solids, through_at_start
+from taichi_cloth.scene.solids import Solid, met_by_faces, solids
 from taichi_cloth.simulation.launch import Launcher
 from taichi_cloth.simulation.numbers import Numbers
 from taichi_cloth.simulation.snapshot import Snapshot
@@ -67,7 +67,6 @@ class DeviceState:
         self._taken = snapshot
         self.solids = solids(snapshot.scene)
         self._placements = self._placements_of(snapshot.scene)
-        self._through: tuple[Scene, Sequence[Solid], np.ndarray] | None = None
         self.topology = self.path = ""
         self.loads = 0
         self.pushed = self._held = False
@@ -149,13 +148,9 @@ class DeviceState:
         else:
             self._launch(readback.read_vectors, of, out)
 
-    def through_at_start(self) -> np.ndarray:
-        """Which of the scene's elements begin through a solid (`scene.solids`): worked out once."""
-        scene = self._taken.scene
-        known = self._through
-        if known is None or known[0] is not scene or known[1] is not self.solids:
-            known = self._through = scene, self.solids, through_at_start(scene, self.solids)
-        return known[2]
+    def through(self) -> int:
+        """How many of the scene's elements go through an obstacle since they were put there."""
+        return int(self._taken.judged.through.sum())
 
     def _upload(self) -> Upload:
         now = self._now
@@ -167,7 +162,6 @@ class DeviceState:
             placements=self._placements,
             placement=now.placement,
             solids=self.solids,
-            through=self.through_at_start,
             needs=self._needs,
             real=self.real,
         )

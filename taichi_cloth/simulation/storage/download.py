@@ -22,7 +22,8 @@ class Download(DeviceState):
 
     def snapshot(self) -> Snapshot:
         """The state as it is now."""
-        return Snapshot(self._scene_now(), self.positions(), self.velocities(), self.marks())
+        known, judged = self.marks(), self._taken.judged
+        return Snapshot(self._scene_now(), self.positions(), self.velocities(), known, judged)
 
     @property
     def changed_numbers(self) -> list[SpringNumber]:

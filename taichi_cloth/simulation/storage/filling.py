@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -24,7 +24,6 @@ class Filling:
     """Where a snapshot goes: `state`, whose fields are of `spec`.
 
     placements: of its scene; placement: the one that is used. solids: what is in its way.
-    through: tells which of its elements begin through a solid, (m,) bool.
     needs: what the method asks of the host (`kernels.methods`). real: type of the device's numbers.
     """
 
@@ -35,7 +34,6 @@ class Filling:
     placements: Placements
     placement: Placement
     solids: Sequence[Solid]
-    through: Callable[[], np.ndarray]
     needs: Collection[str]
     real: Real
 

@@ -13,9 +13,9 @@ from taichi_cloth.kernels.forces import blow
 from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.runtime import refuse_other_threads
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.scene.solids import solids
+from taichi_cloth.scene.solids import goes_through, met_by_faces, solids
 from taichi_cloth.simulation.numbers import Numbers
-from taichi_cloth.simulation.snapshot import Snapshot, same_but_own
+from taichi_cloth.simulation.snapshot import Judged, Snapshot, same_but_own
 from taichi_cloth.simulation.storage import containers, requirements
 from taichi_cloth.simulation.storage.containers import Container
 from taichi_cloth.simulation.storage.device_state import DeviceState, Loaded
@@ -35,9 +35,25 @@ class Loading(DeviceState):
         self._taken = snapshot
         self.pushed = False
 
-    def move(self, x: np.ndarray, v: np.ndarray) -> None:
-        """From the next load on, have the particles at x with v, (n, dim)."""
-        self._taken = replace(self._taken, x=x, v=v)
+    def move(self, now: np.ndarray, x: np.ndarray, v: np.ndarray) -> None:
+        """From the next load on, have the particles at x with v; now: where they are, (n, dim)."""
+        self._taken = replace(self._taken, x=now).moved(x, v)
+
+    def judge(self, time: float) -> None:
+        """Before a load, at a time: find which of the faces and edges that were put where they are
+        since the last one go through an obstacle there."""
+        self._taken = self._judged(self._taken, time)
+
+    def _judged(self, taken: Snapshot, time: float) -> Snapshot:
+        """The state with all of its elements known; self.solids are in its way."""
+        if not met_by_faces(taken.scene, self.solids):
+            return taken
+        elements, judged = taken.scene.elements, taken.judged
+        known, through = judged.of(elements)
+        if known.all() and len(elements) == len(judged.elements):
+            return taken
+        new = goes_through(taken.scene, self.solids, taken.x, time, ~known)
+        return replace(taken, judged=Judged(elements, through | new))
 
     def topologies(self) -> list[str]:
         """The topologies that the scene can be stored in."""
@@ -118,13 +134,19 @@ class Loading(DeviceState):
             self._held = False
         self._altered = True
 
-    def change_particles(self, now: Snapshot, edited: Snapshot, numbers: Numbers) -> bool:
+    def change_particles(
+        self, now: Snapshot, edited: Snapshot, numbers: Numbers, time: float
+    ) -> bool:
         """Go from `now`, what is on the device, to an edited state with the same bits as by a load,
-        where nothing differs but the motion of particles and their numbers that are `snapshot.OWN`.
+        where nothing differs but the motion of particles and their numbers that are `snapshot.OWN`,
+        and the same faces meet obstacles. time: of the clock.
 
         False, with nothing done, where more does. InputError as in `load`.
         """
         if edited.scene.springs is not self.scene.springs or not same_but_own(now, edited):
+            return False
+        edited = self._judged(edited, time)
+        if not np.array_equal(edited.judged.through, now.judged.through):
             return False
         self._taken, self.pushed, self.loads = edited, False, self.loads + 1
         self._loaded = replace(self._now, number=self.loads, numbers=numbers)

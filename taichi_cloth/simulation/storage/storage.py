@@ -160,6 +160,7 @@ class Storage(Loading, Download, Handling):
         like = replace(kept.spec, threads=self._launcher.device.threads)
         try:
             self.take(with_own_hold(kept.taken))
+            self.judge(0.0)  # what an older file says nothing of began where it is
             placement, topology = self._find_placement(kept.topology)
             container = self._make_room(placement, topology, like)
             if container.spec != like:

@@ -29,7 +29,8 @@ class SurfaceFilling(Filling):
     def _faces(self) -> None:
         """The triangles that meet obstacles, and that nothing is known of them yet."""
         state = self.state
-        elements = self.snapshot.scene.elements[~self.through()]
+        elements = self.snapshot.scene.elements
+        elements = elements[~self.snapshot.judged.of(elements)[1]]
         self._surface(state.elements, elements, self._to)
         slots = self.placement.layout.slot[elements]
         self._to.put(state.face_row, np.searchsorted(np.unique(slots), slots))
