@@ -168,13 +168,13 @@ def note_inside(sim: Simulation, options: RunOptions) -> None:
             f"{'is' if count == 1 else 'are'} pushed out in the first step; the first is particle "
             f"{inside.particles[0]}, in {inside.solid[0]}"
         )
-        through = sim.through_at_start()
-        if through:
-            say(
-                f"note: {counted(through, 'face')} or edge{'s' * (through > 1)} of a cloth "
-                f"{'begins' if through == 1 else 'begin'} through an obstacle, which keeps out "
-                "their particles alone; let the cloth begin outside of it"
-            )
+    through = sim.through_at_start()
+    if through and not options.quiet:
+        say(
+            f"note: {counted(through, 'face')} or edge{'s' * (through > 1)} of a cloth "
+            f"{'begins' if through == 1 else 'begin'} through an obstacle, which keeps out "
+            "their particles alone; let the cloth begin outside of it"
+        )
 
 
 def check_converged(sim: Simulation, options: RunOptions) -> None:

@@ -268,37 +268,38 @@ def goes_through(
     where they are put, (m,) bool: these are then on several of its sides.
 
     x: (n, dim), where particles are put at a time; asked: (m,) bool, which elements are asked for.
-
     No push would take such a face out: pushes would go on for ever, and throw the cloth. What is
     less deep in it than THROUGH of its longest side, as on an edge, and does not go through its
     middle (`_is_split`) is none of them, and what has a fixed corner neither.
     """
-    elements, fixed, put = scene.elements, scene.particles.fixed, x
-    through, corner = np.zeros(len(elements), bool), np.zeros(len(x), bool)
-    corner[elements[asked]] = True
-    inside = _inside(scene, solids, put, time, corner & ~fixed)
-    if not len(inside.particles):
-        return through
+    elements, put, fixed = scene.elements, x, scene.particles.fixed
+    through, is_corner = np.zeros(len(elements), bool), np.zeros(len(put), bool)
+    asked = asked & ~fixed[elements].any(axis=1)
     met = met_by_faces(scene, solids)
     sharp = [solid for solid in solids if solid.name in met]
-    if not sharp:
+    if not sharp or not asked.any():
         return through
+    is_corner[elements[asked]] = True
+    inside = _inside(scene, solids, put, time, is_corner)
     x, is_inside = put.copy(), np.zeros(len(put), bool)
     x[inside.particles], is_inside[inside.particles] = inside.pushed, True
-    asked = asked & is_inside[elements].any(axis=1) & ~fixed[elements].any(axis=1)
-    began, corners = put[elements[asked]], x[elements[asked]]
+    entered = asked & is_inside[elements].any(axis=1)
+    began, corners = put[elements[entered]], x[elements[entered]]
     side = np.linalg.norm(began - np.roll(began, 1, axis=1), axis=2).max(axis=1, initial=0.0)
     depth = np.full(len(corners), -np.inf)
     for shares in ((1, 1, 1), (1, 1, 0), (0, 1, 1), (1, 0, 1)):
         point = np.einsum("k,mkd->md", np.array(shares) / sum(shares), corners)
         for solid in sharp:
             depth = np.maximum(depth, -1.0 * solid.distances(point, time)[0])
-    split = np.zeros(len(corners), bool)
-    for k in range(3):
-        ends = corners[:, k], corners[:, (k + 1) % 3]
-        for solid in sharp:
-            split |= _is_split(solid, *ends, time)
-    through[asked] = (depth > THROUGH * side) | split
+    through[entered] = depth > THROUGH * side
+    which = np.tile(np.flatnonzero(asked), 3)
+    a, b = elements[asked].T.ravel(), np.roll(elements[asked], -1, axis=1).T.ravel()
+    length = np.linalg.norm(x[b] - x[a], axis=1)
+    for solid in sharp:
+        gap = solid.distances(x, time)[0]
+        reaches = length > gap[a] + gap[b]  # the others do not between their ends, either
+        split = _is_split(solid, x[a[reaches]], x[b[reaches]], time)
+        through[which[reaches][split]] = True
     return through
 
 
@@ -311,15 +312,17 @@ def _is_split(solid: Solid, a: np.ndarray, b: np.ndarray, time: float) -> np.nda
     def look(part: np.ndarray, aside: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         return solid.distances(a + part[:, None] * (b - a) + aside, time)
 
-    low, high = np.zeros(len(a)), np.ones(len(a))
+    low, high, length = np.zeros(len(a)), np.ones(len(a)), np.linalg.norm(b - a, axis=1)
     for _ in range(SECTIONS):  # of where it is deepest: there is one such place
         third = GOLDEN * (high - low)
         left, right = low + third, high - third
-        nearer = look(left)[0] <= look(right)[0]
+        at_left, at_right = look(left)[0], look(right)[0]
+        nearer, beyond = at_left <= at_right, np.minimum(at_left, at_right)
+        if (beyond > (high - low) * length).all():
+            return np.zeros(len(a), bool)
         low, high = np.where(nearer, low, left), np.where(nearer, right, high)
     middle = (low + high) / 2
     depth = np.maximum(-1.0 * look(middle)[0], 0.0)
-    length = np.linalg.norm(b - a, axis=1)
     before, after = (
         middle + side * depth / np.where(length > 0, length, 1.0) for side in (-0.25, 0.25)
     )
