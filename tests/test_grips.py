@@ -11,9 +11,10 @@ from taichi_cloth.kernels import methods
 from taichi_cloth.scene import scenefile
 from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.cloth import grid, grid_triangles
-from taichi_cloth.scene.model import Scene, World
+from taichi_cloth.scene.model import Particles, Scene, World
 from taichi_cloth.scene.obstacles import Obstacle
 from taichi_cloth.scene.solids import solids
+from taichi_cloth.simulation.checkpoint import Checkpoint
 
 WAYS = [f"{topology} {path}" for topology in ("lanes", "graph") for path in ("serial", "parallel")]
 ALONG = np.array([0.3, -0.2, 0.1])
@@ -85,6 +86,47 @@ def test_what_is_held_turns_with_its_obstacle_for_a_span_of_time(pool, way):
     sim.reset()
     sim.advance(30)
     np.testing.assert_array_equal(sim.positions(), again)
+
+
+def test_what_is_fixed_or_put_in_a_run_goes_with_what_it_is_at_by_then(pool, tmp_path):
+    """Not with what it began at, from where that began."""
+    scene = pulled(velocity=[1.0, 0.0, 0.0])
+    pins, way = scene.particles.fixed, np.array([0.1, 0.0, 0.0])
+    how = {"topology": "graph", "execution": "serial", "substeps": 2}
+    sim = pool(scene, "symplectic_euler", **how)
+    sim.advance(50)
+    sim.unpin([0])
+    sim.set(velocities=[1.0, 0.0, 0.5], particles=[0])
+    sim.advance(5)
+    put = sim.positions()[pins]
+    sim.pin([0])
+    kept = sim.checkpoint()
+    kept.save(tmp_path / "pinned.npz")
+    sim.advance(10)
+    after = sim.positions()
+    assert np.linalg.norm(put[0] - scene.particles.position[0] - [0.55, 0.0, 0.0]) > 0.01
+    np.testing.assert_allclose(after[pins], put + way, atol=1e-12)
+    sim.set(stiffness=31.0)
+    for back in (kept, Checkpoint.load(tmp_path / "pinned.npz")):
+        sim.restore(back)
+        sim.advance(10)
+        np.testing.assert_array_equal(sim.positions(), after)
+    # Out of its grip, they stay where they are put; then one is put into it.
+    put = sim.positions() + [0.0, 0.5, 0.0]
+    sim.set(positions=put)
+    sim.advance(10)
+    np.testing.assert_array_equal(sim.positions()[pins], put[pins])
+    there = np.array([0.9 + sim.time, 2.05, 0.3])
+    sim.set(positions=there, particles=[4])
+    sim.remove([1])
+    sim.advance(10)
+    np.testing.assert_allclose(sim.positions()[3], there + way, atol=1e-12)
+    np.testing.assert_array_equal(sim.positions()[[0, 7]], put[[0, 8]])
+    # So it is asked of what comes: where the bar began none holds it, and where it is it does.
+    for place, by in ((BAR["ends"][0], -1), (BAR["ends"][0] + sim.time * 10.0 * way, 0)):
+        new = Particles.build([place], fixed=True)
+        grown = sim.storage.judged(sim.storage.snapshot().with_particle(new, None), sim.time)
+        assert grown.grips.by.tolist() == [-1, -1, -1, 0, -1, -1, -1, -1, -1, -1, -1, by]
 
 
 def test_grips_are_read_written_and_refused():

@@ -126,17 +126,21 @@ def number_of_solids(scene: Scene) -> int:
     return len(scene.obstacles) + len(list(_planes(scene.world)))
 
 
-def held(scene: Scene, solids: Sequence[Solid]) -> tuple[np.ndarray, np.ndarray]:
+def held(
+    scene: Scene, solids: Sequence[Solid], x: np.ndarray | None = None, time: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
     """Which solid each particle goes with, (n,), -1: none, and where in its frame, (n, dim).
 
     Fixed particles go with a moving obstacle within whose grip they begin, the nearest if several.
+    x: (n, dim), where they are at a time; absent: where they begin.
     """
-    x, fixed = scene.particles.position, scene.particles.fixed
+    x = scene.particles.position if x is None else x
+    fixed = scene.particles.fixed
     which, nearest_yet = np.full(len(x), -1), np.full(len(x), np.inf)
     local = np.zeros_like(x)
     for index, solid in enumerate(solids):
         if solid.grip is not None and solid.moving and fixed.any():
-            (centre, turn), (distance, _) = solid.pose(0.0), solid.distances(x, 0.0)
+            (centre, turn), (distance, _) = solid.pose(time), solid.distances(x, time)
             mine = fixed & (distance <= solid.grip) & (distance < nearest_yet)
             which[mine], nearest_yet[mine] = index, distance[mine]
             local[mine] = (x[mine] - centre) @ turn

@@ -60,7 +60,7 @@ class Changes(Part):
     def pin(self, particles: ArrayLike) -> None:
         """Fix particles, by indices or a mask (n,), where they are now.
 
-        Those that began within the grip of an obstacle that moves are taken along by it again.
+        Those that are within the grip of an obstacle that moves are taken along by it.
         """
         count = self.particle_count
         chosen = accepted.selection("pin: particles", particles, count, "particle")

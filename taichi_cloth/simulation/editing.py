@@ -81,7 +81,9 @@ def with_values(now: Snapshot, given: Mapping[str, Any], selection: Selection) -
         scene = scene.with_parts(springs=_with_numbers(scene.springs, of_springs, tied, x))
     if OF_STENCILS in given:
         scene = scene.with_parts(stencils=_with_bending(scene, given[OF_STENCILS]))
-    return replace(now.moved(x, v), scene=scene)
+    edited = replace(now.moved(x, v), scene=scene)
+    changed = scene.particles.fixed != now.scene.particles.fixed
+    return replace(edited, grips=edited.grips and edited.grips.but(changed))
 
 
 def with_spring(now: Snapshot, i: int, j: int, given: Mapping[str, Any]) -> tuple[Snapshot, int]:
@@ -157,7 +159,8 @@ def without(now: Snapshot, particles: np.ndarray) -> tuple[Snapshot, np.ndarray]
     )
     judged = now.judged.without(gone)
     judged = replace(judged, elements=number[judged.elements])
-    return Snapshot(scene, now.x[left], now.v[left], now.marks[holds], judged), left
+    grips = now.grips and now.grips.select(left)
+    return Snapshot(scene, now.x[left], now.v[left], now.marks[holds], judged, grips), left
 
 
 def same(a: Snapshot, b: Snapshot) -> bool:

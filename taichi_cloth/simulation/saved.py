@@ -20,7 +20,7 @@ from taichi_cloth.scene.model import Particles, Scene, Springs, World
 from taichi_cloth.scene.obstacles import Obstacle
 from taichi_cloth.scene.stencils import Stencils
 from taichi_cloth.settings import accepted
-from taichi_cloth.simulation.snapshot import Judged, Snapshot
+from taichi_cloth.simulation.snapshot import Grips, Judged, Snapshot
 from taichi_cloth.simulation.storage.kept import Kept
 
 VERSION = 1  # of the file; another one is refused
@@ -86,6 +86,10 @@ def into(file: PendingFile, parts: Mapping[str, Any], about: Mapping[str, Any]) 
     scene = kept.taken.scene
     arrays: dict[str, Any] = {"marks": kept.taken.marks, "triangles": scene.triangles}
     arrays |= {f"judged.{key}": of for key, of in vars(kept.taken.judged).items()}
+    arrays |= {
+        f"grips.{key}": of
+        for key, of in (vars(kept.taken.grips) if kept.taken.grips else {}).items()
+    }
     for name in TABLES:
         table = vars(getattr(scene, name))
         arrays |= {f"{name}.{key}": column for key, column in table.items()}
@@ -160,6 +164,7 @@ def _parts(meta: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str, Any
     settings.setdefault("_first", 0)
     settings["_since"] = tuple(settings["_since"])
     judged = Judged(**under("judged")) if under("judged") else Judged.none()  # of older files
+    grips = Grips(**under("grips")) if under("grips") else None
     auto = meta["auto"]
     if auto is not None:
         auto["vectors"] = [arrays.get(f"auto.{k}") for k in range(2)]
@@ -170,7 +175,7 @@ def _parts(meta: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str, Any
         "settings": settings,
         "auto": auto,
         "kept": Kept(
-            taken=Snapshot(scene, x, v, arrays["marks"], judged),
+            taken=Snapshot(scene, x, v, arrays["marks"], judged, grips),
             fields=under("field"),
             spec=Specialization(**spec),
             **meta["kept"],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -50,12 +51,35 @@ class Judged:
 
 
 @dataclass(frozen=True)
+class Grips:
+    """Which obstacle each particle goes with since it was fixed, or put where it is.
+
+    by: (n,), its number, -1: none, UNKNOWN: nobody has asked since. at: (n, dim), where in the
+    obstacle's frame (`solids.held`).
+    """
+
+    UNKNOWN: ClassVar[int] = -2
+    by: np.ndarray
+    at: np.ndarray
+
+    def but(self, changed: np.ndarray) -> Grips:
+        """The same, but for particles of which it is to be asked anew, (n,) bool."""
+        return replace(self, by=np.where(changed, self.UNKNOWN, self.by))
+
+    def select(self, particles: np.ndarray) -> Grips:
+        """Those of some particles, by number; -1: of one that came."""
+        by = np.where(particles < 0, self.UNKNOWN, self.by[particles])
+        return Grips(by, self.at[particles])
+
+
+@dataclass(frozen=True)
 class Snapshot:
     """Where the particles of a scene are, and which of its springs are broken.
 
     scene: with all that was spawned, every particle where it began. x, v: (n, dim), where it is
     now. marks: (s, 2) int32, status (ALIVE, BREAKING, GONE) and break step of every spring.
-    judged: what is known of its faces; nothing while no obstacle is sharp.
+    judged: what is known of its faces; nothing while no obstacle is sharp. grips: what fixed
+    particles go with; None: nobody has asked, or nothing takes any along.
     """
 
     scene: Scene
@@ -63,6 +87,7 @@ class Snapshot:
     v: np.ndarray
     marks: np.ndarray
     judged: Judged = Judged.none()  # noqa: RUF009, of which nothing is written to
+    grips: Grips | None = None
 
     @classmethod
     def at_start(cls, scene: Scene, marks: np.ndarray | None = None) -> Snapshot:
@@ -85,8 +110,9 @@ class Snapshot:
 
     def moved(self, x: np.ndarray, v: np.ndarray) -> Snapshot:
         """The state with particles put at x with v, (n, dim): of whose faces nothing is known."""
-        judged = self.judged.without((x != self.x).any(axis=1))
-        return replace(self, x=x, v=v, judged=judged)
+        moved = (x != self.x).any(axis=1)
+        grips = self.grips and self.grips.but(moved)
+        return replace(self, x=x, v=v, judged=self.judged.without(moved), grips=grips)
 
     def with_particle(self, new: Particles, tied_to: int | None) -> Snapshot:
         """The state with one particle more, tied to one of the others or to none."""
@@ -98,7 +124,9 @@ class Snapshot:
             springs = springs.joined(tie)
             marks = np.concatenate([marks, np.array([[ALIVE, 0]], np.int32)])
         scene = replace(self.scene, particles=particles.joined(new), springs=springs)
-        return Snapshot(scene, x, np.concatenate([self.v, new.velocity]), marks, self.judged)
+        grips = self.grips and self.grips.select(np.append(np.arange(len(self.x)), -1))
+        v = np.concatenate([self.v, new.velocity])
+        return Snapshot(scene, x, v, marks, self.judged, grips)
 
     def network(self, among: Networks | None = None) -> Network:
         """The particles where they are, and the springs that pull.

@@ -22,8 +22,8 @@ class Download(DeviceState):
 
     def snapshot(self) -> Snapshot:
         """The state as it is now."""
-        known, judged = self.marks(), self._taken.judged
-        return Snapshot(self._scene_now(), self.positions(), self.velocities(), known, judged)
+        x, v, marks = self.positions(), self.velocities(), self.marks()
+        return replace(self._taken, scene=self._scene_now(), x=x, v=v, marks=marks)
 
     @property
     def changed_numbers(self) -> list[SpringNumber]:

@@ -13,9 +13,9 @@ from taichi_cloth.kernels.forces import blow
 from taichi_cloth.kernels.specialization import Specialization
 from taichi_cloth.runtime import refuse_other_threads
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.scene.solids import goes_through, met_by_faces, solids
+from taichi_cloth.scene.solids import goes_through, held, met_by_faces, solids
 from taichi_cloth.simulation.numbers import Numbers
-from taichi_cloth.simulation.snapshot import Judged, Snapshot, same_but_own
+from taichi_cloth.simulation.snapshot import Grips, Judged, Snapshot, same_but_own
 from taichi_cloth.simulation.storage import containers, requirements
 from taichi_cloth.simulation.storage.containers import Container
 from taichi_cloth.simulation.storage.device_state import DeviceState, Loaded
@@ -40,12 +40,32 @@ class Loading(DeviceState):
         self._taken = replace(self._taken, x=now).moved(x, v)
 
     def judge(self, time: float) -> None:
-        """Before a load, at a time: find which of the faces and edges that were put where they are
-        since the last one go through an obstacle there."""
-        self._taken = self._judged(self._taken, time)
+        """Before a load, at a time: find what was put where it is since the last one is in there.
 
-    def _judged(self, taken: Snapshot, time: float) -> Snapshot:
-        """The state with all of its elements known; self.solids are in its way."""
+        That is which faces and edges go through an obstacle, and what takes fixed particles along.
+        """
+        self._taken = self.judged(self._taken, time)
+
+    def judged(self, taken: Snapshot, time: float) -> Snapshot:
+        """The state with all of its elements and grips known; self.solids are in its way."""
+        return self._with_grips(self._with_faces(taken, time), time)
+
+    def _with_grips(self, taken: Snapshot, time: float) -> Snapshot:
+        """The state with what its fixed particles go with."""
+        if not any(solid.grip is not None and solid.moving for solid in self.solids):
+            return taken
+        count, grips = len(taken.x), taken.grips
+        if grips is None:
+            grips = Grips(np.full(count, Grips.UNKNOWN), np.zeros(taken.x.shape))
+        asked = grips.by == Grips.UNKNOWN
+        if not asked.any() and taken.grips is not None:
+            return taken
+        by, at = held(taken.scene, self.solids, taken.x, time)
+        by, at = np.where(asked, by, grips.by), np.where(asked[:, None], at, grips.at)
+        return replace(taken, grips=Grips(by, at))
+
+    def _with_faces(self, taken: Snapshot, time: float) -> Snapshot:
+        """The state with all of its elements known."""
         if not met_by_faces(taken.scene, self.solids):
             return taken
         elements, judged = taken.scene.elements, taken.judged
@@ -145,7 +165,7 @@ class Loading(DeviceState):
         """
         if edited.scene.springs is not self.scene.springs or not same_but_own(now, edited):
             return False
-        edited = self._judged(edited, time)
+        edited = self.judged(edited, time)
         if not np.array_equal(edited.judged.through, now.judged.through):
             return False
         self._taken, self.pushed, self.loads = edited, False, self.loads + 1

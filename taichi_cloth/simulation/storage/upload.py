@@ -10,7 +10,6 @@ import numpy as np
 from taichi_cloth.kernels import clock, loops
 from taichi_cloth.kernels.forces import device_fields, has_tractions
 from taichi_cloth.kernels.watchdog import NO_FAULT
-from taichi_cloth.scene.solids import held
 from taichi_cloth.simulation.numbers import Numbers
 from taichi_cloth.simulation.storage.boxes import Real, collision_grid, inner_box
 from taichi_cloth.simulation.storage.filling import as_real, wrong_size
@@ -161,7 +160,8 @@ class Upload(SpringFilling, SurfaceFilling):
         p, x = self.snapshot.scene.particles, self.snapshot.x
         with np.errstate(all="ignore"):
             w = np.where(p.fixed, 0.0, 1.0 / p.mass)
-        by, at = held(self.snapshot.scene, self.solids)
+        grips = self.snapshot.grips
+        by, at = (np.full(len(x), -1), 0.0 * x) if grips is None else (grips.by, grips.at)
         still = p.fixed & (by < 0)  # a fixed particle never moves, unless something holds it
         v = np.where(still[:, None], 0.0, self.snapshot.v)
         values = {"x": x, "v": v, "w": w, "radius": p.radius, "restitution": p.restitution}
