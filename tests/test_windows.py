@@ -25,6 +25,7 @@ from screens import end_server, virtual_screen, wait_for
 from selection import as_thorough
 
 from taichi_cloth import runtime
+from taichi_cloth.errors import InputError
 from taichi_cloth.files import trajectory as trajectories
 from taichi_cloth.scene import library
 from taichi_cloth.scene.model import COLOR_CYCLE, Particles, Scene, Springs, World
@@ -42,6 +43,7 @@ from taichi_cloth.ui.drawing import Cached
 from taichi_cloth.ui.framing import camera_of_world
 from taichi_cloth.ui.inputs import Event, fewest_moves
 from taichi_cloth.ui.presentation import Presentation
+from taichi_cloth.ui.scenes import Scenes
 from taichi_cloth.ui.text import Word
 from taichi_cloth.ui.views.ggui import GguiView
 from taichi_cloth.ui.views.none import NullView
@@ -755,6 +757,46 @@ def test_the_status_says_that_threads_which_were_asked_for_only_wait(monkeypatch
     assert waits == [False, True, True, True, True, False, False, False]
 
 
+def test_r_goes_on_with_the_scene_as_its_edited_file_says_by_now():
+    """Paused or not, and with the tool that was in hand; a file that says none is told of."""
+    made, found = [], []
+    scenes = Scenes(edited=lambda: found.pop(0)(), file="own.toml")
+
+    def again():
+        made.append("again")
+        scenes.said = "read own.toml anew"
+
+    def refuse():
+        raise InputError("own.toml line 3: is not TOML")
+
+    found += [lambda: None, refuse, lambda: refuse, lambda: again]
+    turns = [press(key="g")], [press(key="p")], *([press(key="r")] for _ in range(4))
+    noted, view = Recorded(), Script([], *turns, [], [])
+    sim = FakeSimulation(Scene("fake", changed(world("blow"), tools=True), NO_ONE[2]))
+    asked = {"scenes": scenes, "recorder": noted, "device": "test"}
+    app.run(sim, view, **asked)
+    assert made == ["again"] and len(view.turns) == 2  # which are for the next run
+    said = [words(picture) for picture in view.pictures]
+    assert not any("own.toml" in picture for picture in said[:4])
+    assert "not read anew: own.toml line 3: is not TOML" in said[5]
+    assert "own.toml was not opened: own.toml line 3: is not TOML" in said[-2]
+    assert "opening own.toml" in said[-1]
+    resets = sum(event.key == "r" for _, event in noted if event.kind == "press")
+    assert resets == 3  # what goes on is another run, with a log of its own
+    assert (scenes.paused, scenes.tool) == (True, "grab")
+    noted.clear()
+    view = Script([], [press(key="tab")], [], size=(1200, 900))
+    app.run(sim, view, **asked)
+    said = [words(picture) for picture in view.pictures]
+    assert "paused" in said[-1] and "grab" in said[-1] and "read own.toml anew" in said[0]
+    assert "r\tback to the start; reads an edited file" in said[-1]
+    assert [(frame, event.kind) for frame, event in noted][:1] == [(0, "tool")]
+
+    scenes.fixed = "a log is replayed here"  # which is of the scene that there was
+    app.run(sim, Script([press(key="r")], [press(key="r")], []), **asked)
+    assert made == ["again"]
+
+
 def test_a_reset_says_that_it_shortens_what_is_saved():
     class Noted:
         frames = 0
@@ -1030,6 +1072,7 @@ def test_the_bar_has_labels_as_far_as_there_is_room():
 PROGRAM = """
 import json, sys
 from taichi_cloth import runtime
+from taichi_cloth.errors import InputError
 from taichi_cloth.scene.model import (
     Particles,
     ParticleDefaults,

@@ -117,7 +117,8 @@ def _ready(wanted: Wanted) -> Run:
     # What an earlier process compiled is for the fields of the first scene of a window.
     sim = _begun(wanted.scene, replace(wanted.options, lanes="8"), None, told)
     run_notes.note_inside(sim, wanted.options)
-    return Run(wanted, sim, None)
+    make = partial(_simulation, sim.scene, told=told)
+    return Run(wanted, sim, None, run_beside.begun(sim, wanted.options, make, paced=True))
 
 
 def _run_in(window: Window, run: Run, device: Device) -> int:

@@ -11,6 +11,7 @@ import glob
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -75,10 +76,11 @@ class Window:
         self.view, self._ready = view, ready
         self._source, self._options, self._name = first.source, first.options, first.scene.name
         self._unfinished = ExitStack()  # discards the files of scenes that were opened
+        self._now = first
         self._next: Run | None = None
         self._made = [(first.scene.name, written(first.options))]
         about = choices(first.source, self._name) if view.visible else {}
-        self.scenes = Scenes(about, self._open)
+        self.scenes = Scenes(about, self._open, edited=self._edited, file=file_of(first.source))
 
     def __enter__(self) -> Window:
         return self
@@ -95,25 +97,43 @@ class Window:
         """Make a scene ready; InputError or RunFailure where it cannot be."""
         source = source_of(name, self._source, self._name)
         scene, options = source.build(), options_of(name, self._options)
-        options = replace(options, dt=source.frame())
+        names = self._make(source, scene, replace(options, dt=source.frame()))
+        left = left_behind(self._source, self._options)
+        if left:
+            names.append(f"{', '.join(left)} {'were' if left[1:] else 'was'} for {self._name}")
+        self.scenes.said = "; ".join([f"opened {name}", *names])
+
+    def _edited(self) -> Callable[[], None] | None:
+        """What makes the present scene ready as its file says by now; None: it says the same."""
+        if not self.scenes.file:
+            return None
+        scene = self._now.source.build()
+        return None if scene == self._now.scene else partial(self._reread, scene)
+
+    def _reread(self, scene: Scene) -> None:
+        """Make the present scene ready as its file says by now, with the flags that it had."""
+        now = self._now
+        options = files_of(self._options, scene.name, onto=now.options)
+        options = replace(options, resume=None, given=options.given - {"resume"})
+        names = self._make(now.source, scene, options)
+        if now.options.resume is not None:
+            names.append(f"--resume was of {Path(self.scenes.file).name} before")
+        self.scenes.said = "; ".join([f"read {Path(self.scenes.file).name} anew", *names])
+
+    def _make(self, source: SceneSource, scene: Scene, options: RunOptions) -> list[str]:
+        """Make a scene ready; the files that it writes, each after its flag."""
         with ExitStack() as unfinished:
             files = unfinished.enter_context(run_files.begun(scene, options))
             self._next = self._ready(Wanted(source, scene, options, files))
             self._unfinished.push(unfinished.pop_all())
         words = (line.split(" ", 1) for line in written(options))
-        names = [f"{word} {Path(path).name}" for word, path in words]
-        left = left_behind(self._source, self._options)
-        if left:
-            names.append(f"{', '.join(left)} {'were' if left[1:] else 'was'} for {self._name}")
-        self.scenes.said = "; ".join([f"opened {name}", *names])
+        return [f"{word} {Path(path).name}" for word, path in words]
 
     def go_on(self, frames: int) -> Run | None:
         """The scene that was opened, seen in the window; None: the window closes.
 
         frames: that the last one made.
         """
-        from taichi_cloth.ui.framing import camera_of
-
         run, self._next = self._next, None
         if run is None:
             return None
@@ -127,8 +147,30 @@ class Window:
             print(self.scenes.said, flush=True)
         self._made.append((run.of.scene.name, written(run.of.options)))
         gc.collect()  # what the last scene held on the device is given back
-        self.view.turn_to(run.sim.scene.world, camera_of(run.sim.scene))
+        self._turn_to(run)
+        self._now, self.scenes.file = run.of, file_of(run.of.source)
         return run
+
+    def _turn_to(self, run: Run) -> None:
+        """Show a run; that of a scene that was read anew as the user looked at it, and had it."""
+        from taichi_cloth.ui.framing import camera_of
+
+        view, scenes, last, scene = self.view, self.scenes, self._now, run.of.scene
+        again = run.of.source == last.source
+        if not again:
+            scenes.paused, scenes.tool = False, ""
+        stays = again and scene.world.size == last.scene.world.size
+        before, begun, look = view.camera, camera_of(last.scene), view.look
+        moved = before and begun and before.pose != begun.pose
+        scenes.pose = before.pose if stays and before and moved else None
+        view.turn_to(scene.world, camera_of(scene))
+        if stays:
+            view.look = look
+
+
+def file_of(source: SceneSource) -> str:
+    """The file that a scene is read from; "": none."""
+    return source.name if source.is_file else ""
 
 
 def choices(first: SceneSource, name: str) -> dict[str, str]:
@@ -150,10 +192,15 @@ def options_of(chosen: str, options: RunOptions) -> RunOptions:
     first is taken that no file has.
     """
     other: dict[str, Any] = {f.name: f.default for f in fields(options) if f.name in OF_ONE_SCENE}
-    for name in WRITES:
-        path = getattr(options, name)
-        other[name] = None if path is None else beside(path, chosen)
-    return replace(options, given=options.given - set(OF_ONE_SCENE), **other)
+    there = replace(options, given=options.given - set(OF_ONE_SCENE), **other)
+    return files_of(options, chosen, onto=there)
+
+
+def files_of(first: RunOptions, scene: str, onto: RunOptions) -> RunOptions:
+    """Options `onto` with the files of the next scene, each beside that of the first one."""
+    given: dict[str, Any] = {name: getattr(first, name) for name in WRITES}
+    paths: dict[str, Any] = {name: path and beside(path, scene) for name, path in given.items()}
+    return replace(onto, **paths)
 
 
 def beside(path: str, scene: str) -> str:

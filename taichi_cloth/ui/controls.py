@@ -83,6 +83,11 @@ class Controls:
         return self._hand.pointer
 
     @property
+    def chosen(self) -> str:
+        """The name of the tool that is in hand in the place of the scene's own; "": none is."""
+        return self.tool.name if self.tool and self.tool is not self._first else ""
+
+    @property
     def waits(self) -> bool:
         """Whether the next `before_frame` compiles for seconds, of which `notice` tells."""
         return self._waiting is not None
@@ -194,7 +199,7 @@ class Controls:
         elif key == FRAME_KEY and moves:
             pose = None if replayed else moves.framing(self._hand.sim)
             if pose is not None:
-                self._follow(Event("view", pose=pose))
+                self.look_from(pose)
         elif key in self._by_key:
             chosen = self._by_key[key]
             if not replayed:
@@ -205,6 +210,10 @@ class Controls:
                 self._before = None  # where the pointer went meanwhile is no gust
             return command
         return None
+
+    def look_from(self, pose: tuple[float, ...]) -> None:
+        """Have the camera of a scene in space take a pose."""
+        self._follow(Event("view", pose=pose))
 
     def _take_up(self, name: str) -> None:
         """Take a tool in hand, or ("") put it away for what the pointer did from the start."""

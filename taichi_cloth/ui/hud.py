@@ -262,12 +262,14 @@ def help_lines(
     *,
     saves: bool = False,
     tied: bool = False,
+    file: bool = False,
 ) -> tuple[str, ...]:
     """Every key and mouse action of this scene, as "key<tab>action".
 
     tool: the one in hand; None: the one that the pointer is from the start.
     saves: whether the run keeps a trajectory, which a reset shortens.
     tied: whether there are springs now, also in a scene that came with none.
+    file: whether going back to the start reads the scene's file anew.
     """
     tool = tool or tools.for_mouse(scene.world.mouse)
     lines = list(tool.actions(scene)) if tool else []
@@ -285,7 +287,9 @@ def help_lines(
         ".  or right arrow\tone frame, while paused",
         ",  or left arrow\tone frame back, in the last 10 s",
         "q\tslow motion: half as fast, down to 1/16",
-        "r\tback to the start" + ("; --save begins anew" if saves else ""),
+        "r\tback to the start"
+        + ("; reads an edited file" if file else "")
+        + ("; --save begins anew" if saves else ""),
         *(["d\tdraw surface, springs, particles"] if len(scene.triangles) else []),
         *(["e\tcolours of strain"] if tied or len(scene.springs) else []),
         "m\tmeters: the last 10 seconds",

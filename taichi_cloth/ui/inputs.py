@@ -66,7 +66,7 @@ _KEY_NAMES = {
 }
 
 # What the program's own keys ask for, beside those of the camera.
-STEP_KEYS, BACK_KEYS, SLOW_KEY = (".", "right"), (",", "left"), "q"
+STEP_KEYS, BACK_KEYS, SLOW_KEY, RESET_KEY = (".", "right"), (",", "left"), "q", "r"
 HELP_KEYS = ("f1", "tab")
 COMMANDS = {
     "p": "pause",
@@ -74,7 +74,7 @@ COMMANDS = {
     **dict.fromkeys(STEP_KEYS, "step"),
     **dict.fromkeys(BACK_KEYS, "back"),
     SLOW_KEY: "slow",
-    "r": "reset",
+    RESET_KEY: "reset",
     "h": "status",
     "d": "show",
     "e": "strain",
@@ -93,7 +93,7 @@ COMMANDS = {
     "escape": "quit",
 }
 # Those that act on the window alone: they work while a log is replayed, too.
-WINDOW_KEYS = COMMANDS.keys() - {"space", "r", "u"}
+WINDOW_KEYS = COMMANDS.keys() - {"space", RESET_KEY, "u"}
 FRAME_KEY, BACK_KEY = "f", "z"  # of the camera: what there is fills the picture; its pose before
 DRAGS = {"left": "turn", "right": "pan"}  # what moves the camera by which button
 ORBIT = "orbit"  # what "turn" was in logs of old, and still is there

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from contextlib import ExitStack, closing, suppress
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +15,7 @@ from taichi_cloth.ui import film as films
 from taichi_cloth.ui import hud
 from taichi_cloth.ui.chrome.budget import METHOD
 from taichi_cloth.ui.controls import Controls
-from taichi_cloth.ui.inputs import COMMANDS, KEYS, WINDOW_KEYS, Event
+from taichi_cloth.ui.inputs import COMMANDS, KEYS, RESET_KEY, WINDOW_KEYS, Event
 from taichi_cloth.ui.interaction import LogEvent
 from taichi_cloth.ui.log_window import LogWindow
 from taichi_cloth.ui.opening import offscreen
@@ -51,7 +53,8 @@ class Loop:
         replay = request.replay
         self._log = dict(replay.by_frame) if replay is not None else {}
         self.state = state = RunState(
-            paused=request.paused and view.visible, log_end=max(self._log, default=-1)
+            paused=(request.paused or request.scenes.paused) and view.visible,
+            log_end=max(self._log, default=-1),
         )
         self._shutter = Shutter(sim.scene.name, request.pictures, quiet=request.quiet)
         self._takes = Takes(film, self._shutter)
@@ -68,14 +71,12 @@ class Loop:
                 sim, self._controls, view.camera, recorder, trajectory, reruns, beside
             )
         # In space the camera moves, which logs know.
-        self._looks = PlaneMoves(sim) if view.camera is None else None
+        self._looks = PlaneMoves(sim, view.look) if view.camera is None else None
         self._shown = Presentation(
             sim, view, request, state, self._controls, self._window, self._takes, self._travel,
             self._go_to,
         )  # fmt: skip
         self._schedule = Schedule()
-        if request.scenes.said:
-            self._controls.tell(request.scenes.said)
         self._started: float | None = None
         self._simulate, self._draw = 0.0, 0.0
         self._resume = 0  # the frame from which a run that failed may go on with what survives
@@ -84,6 +85,13 @@ class Loop:
 
     def begin(self) -> None:
         """Show a window's first picture before the first frame, which may have to be compiled."""
+        scenes = self._request.scenes
+        if scenes.tool:
+            self._controls.choose(scenes.tool)
+        if scenes.pose is not None:
+            self._controls.look_from(scenes.pose)
+        if scenes.said:
+            self._controls.tell(scenes.said)
         if self.view.visible:
             self._show_now()
 
@@ -281,7 +289,12 @@ class Loop:
                 if event.key in WINDOW_KEYS and event.kind == "press":
                     self._obey(COMMANDS[event.key])
                 continue
+            refused = self._reread() if event.kind == "press" and event.key == RESET_KEY else None
+            if state.left:
+                return
             self._take_event(event)
+            if refused:
+                self._controls.tell(refused)
         self._give_settings()
         self._open_scene()
 
@@ -395,21 +408,43 @@ class Loop:
 
     def _open_scene(self) -> None:
         """Make the scene that was chosen ready: the run ends for it, or goes on where it cannot."""
-        settings, scenes = self._shown.settings, self._request.scenes
+        settings = self._shown.settings
         name = settings.take_scene() if settings else None
         if name is None:
             return
+        said = self._leave_for(name, partial(self._request.scenes.open, name))
+        if said:
+            self._controls.tell(said)
+
+    def _reread(self) -> str | None:
+        """Go on with the scene as its file says by now, if that is another one.
+
+        What to tell of it where it cannot be read.
+        """
+        scenes = self._request.scenes
+        if scenes.fixed:
+            return None
+        try:
+            ready = scenes.edited()
+        except InputError as error:
+            return f"not read anew: {error}"
+        return self._leave_for(scenes.file, ready) if ready else None
+
+    def _leave_for(self, name: str, ready: Callable[[], None]) -> str | None:
+        """Make another scene ready, and leave the run for it; what to tell where it cannot be."""
+        scenes = self._request.scenes
         self.state.opening = name
         self._show_now()
         self.state.opening = ""
         try:
-            scenes.open(name)
+            ready()
         except (InputError, RunFailure) as error:
-            self._controls.tell(f"{name} was not opened: {error}")
             self._shown.meter.interrupt()
-            return
-        scenes.opened = self._shown.chrome.opened
+            return f"{name} was not opened: {error}"
+        scenes.opened, scenes.paused = self._shown.chrome.opened, self.state.paused
+        scenes.tool = self._controls.chosen
         self.state.left, self.state.failure = True, None
+        return None
 
     # Pictures, and the end
 

@@ -28,8 +28,8 @@ ZOOMS = 0.25, 400.0  # between which one may zoom: a quarter of the picture; a p
 class PlaneMoves:
     """Moves a look at a simulation's world. look: the present one; None: all of it is seen."""
 
-    def __init__(self, sim: Simulation) -> None:
-        self.look: Look | None = None
+    def __init__(self, sim: Simulation, look: Look | None = None) -> None:
+        self.look = look
         self._sim, world = sim, sim.scene.world
         self._whole = Look((float(world.size[0]) / 2, float(world.size[1]) / 2), 1.0)
         self._before: list[Look | None] = []

@@ -70,6 +70,7 @@ class Presentation:
         self._sim, self._view, self._state, self._takes = sim, view, state, takes
         self._controls, self._window = controls, window
         self._saves, self._budget = request.trajectory is not None, request.budget
+        self._scenes = request.scenes
         self.depiction = Depiction(sim, request.show, request.errors)
         second = request.beside
         self.pair = Pair(second, self.depiction, windowed=view.visible) if second else None
@@ -165,7 +166,9 @@ class Presentation:
         """The lines of the key list."""
         tool, saves = self._controls.tool, self._saves
         scene, tied = self._sim.scene, self._sim.spring_count > 0
-        return hud.help_lines(scene, self._view.has_wheel, tool, saves=saves, tied=tied)
+        file = bool(self._scenes.file) and not self._scenes.fixed
+        wheel = self._view.has_wheel
+        return hud.help_lines(scene, wheel, tool, saves=saves, tied=tied, file=file)
 
     def _key_list(self, layout: Layout) -> Rect:
         """Where the key list is."""
