@@ -276,6 +276,7 @@ def test_an_error_budget_says_what_is_in_the_way():
     errors.note(Second(4, 0.2, order=1.0), torn=False)
     choice = errors.choose(4, Limits(most=8, why_most="frames would take more than 100 ms"))
     assert choice.substeps == 8 and not choice.met and choice.why.endswith("more than 100 ms")
+    assert choice.short == "error 10 %"  # after "hold 1%: "
     choice = errors.choose(4, Limits(most=80, why_most="f32"))
     assert choice.substeps == 16 and choice.why.endswith("may ask for 4 times as many at most")
     errors = SecondErrors(0.01, 1)

@@ -176,7 +176,7 @@ class SecondErrors:
         seconds = "the second" if len(sure) == 1 else f"{len(sure)} seconds"
         of = seconds if kept == len(sure) else f"{kept} of {seconds}"
         why = f"{steps}: at most {percent(worst, 2)} in {of} measured"
-        short = f"{percent(worst, 2)} of {goal}"
+        short = f"error {percent(worst, 2)}"  # the goal is written before it
         rounding = max(second.rounding for second in sure)
         if rounding > MARGIN * self.goal:
             why = f"{steps}: rounding alone makes {percent(rounding, 2)}; use --precision f64"
