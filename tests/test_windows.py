@@ -524,6 +524,15 @@ def test_the_ring_around_the_pointer_is_not_drawn_over_the_key_list():
     assert [one.pointer is not None for one in view.pictures[1:]] == [True, False, True]
 
 
+def test_a_picture_shows_no_pointer_and_a_film_does(tmp_path):
+    over = Event("move", pos=(450, 250))
+    view = Script([over], [press(key="s")], [press(key="v")], [], [], size=(900, 500))
+    app.run(simulation("blow"), view, pictures=str(tmp_path), quiet=True, device="test")
+    shown = [one.pointer is not None for one in view.pictures[1:]]
+    assert shown == [True, False, True, True, True][: len(shown)] and len(shown) > 3
+    assert list(tmp_path.glob("*.png"))
+
+
 def test_strain_has_colours_only_where_there_are_springs():
     place = [[100.0, 100.0], [200.0, 100.0]]
     tied = Scene("tied", world("blow"), Particles.build(place), Springs.build([(0, 1)], place))

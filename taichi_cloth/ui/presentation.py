@@ -217,8 +217,8 @@ class Presentation:
         pair, cut = self.pair, halves(layout.world, layout.text)
         assert pair is not None
         first = second = picture.pointer
-        if self._controls.pointer is not None:  # it is seen in both, also where the cursor is not
-            at = first or Pointer(self._window.shown(self._controls.pointer), None, False)
+        if self._points is not None:  # it is seen in both, also where the cursor is not
+            at = first or Pointer(self._window.shown(self._points), None, False)
             first = replace(at, cross=at.cross or self._window.side == 1)
             second = replace(
                 at,
@@ -316,12 +316,17 @@ class Presentation:
         before_us = (depth[triangles] > near).all(axis=1)
         return not len(place) or bool((here.shows(middle, reach) & before_us).any())
 
+    @property
+    def _points(self) -> np.ndarray | None:
+        """Where the pointer is, (2,), in the log's window; None: in a picture, which has none."""
+        return None if self._takes.shutter.due else self._controls.pointer
+
     def _pointer(self) -> Pointer | None:
         """The pointer, where a log or a film shows it, and a window's cursor does not.
 
         GGUI's is hidden while a button is held.
         """
-        place, camera = self._controls.pointer, self._view.camera
+        place, camera = self._points, self._view.camera
         if place is None:
             return None
         place, ring = self._window.shown(place), self._controls.ring()
