@@ -201,3 +201,9 @@ def test_views_draw_them(device, source, view, tmp_path):
         assert (np.abs(beside.astype(int) - color).max(axis=2) <= 1).any()
     world = picture[: column.height, : column.x].astype(int)
     assert (np.abs(world - strained.CALM).max(axis=2) < 12).sum() > 50
+
+
+def test_percentages_at_an_axis_are_written_as_those_beside_it():
+    """Chains of `sandbox` are pulled to ten times their length."""
+    said = [instruments.percents(value) for value in (0.0, 0.08, 20.0, 2000.0, 2e5, 3e9)]
+    assert said == ["0 %", "0.08 %", "20 %", "2000 %", "200000 %", "3e9 %"]

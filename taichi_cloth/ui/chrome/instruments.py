@@ -90,6 +90,11 @@ def signed(value: float) -> str:
     return ("+" if value >= 0 else "-") + number(abs(value))
 
 
+def percents(value: float) -> str:
+    """So many percent; large ones as they are beside it, and not by powers of ten."""
+    return (f"{value:.0f}" if 1e3 <= value < 1e6 else number(value)) + " %"
+
+
 def percent(value: float) -> str:
     """A part as a percentage, with its sign."""
     size = abs(100 * value)
@@ -143,7 +148,7 @@ def error(of: Source) -> Meter | None:
     least = 0.0 if (found.relative > 0).any() else 0.01  # no error is below 0 %
     return Meter(
         "error", found.value, found.state, details, (curve,), (), (0.0, least),
-        label=lambda value: f"{value:.3g} %",
+        label=percents,
     )  # fmt: skip
 
 
@@ -159,7 +164,7 @@ def distance(of: Source) -> Meter | None:
     )  # fmt: skip
     return Meter(
         "distance", found.value, found.state, details, curves, (), (0.0, 0.01),
-        label=lambda value: f"{value:.3g} %",
+        label=percents,
     )  # fmt: skip
 
 
@@ -246,7 +251,7 @@ def strain(of: Source) -> Meter | None:
     rate = of.gauges.states.rate(of.now)
     return Meter(
         "strain", percent(state.strain), color, tuple(details), (curve,),
-        (), (0.0, 1.0), rate, lambda value: f"{value:.3g} %",
+        (), (0.0, 1.0), rate, percents,
     )  # fmt: skip
 
 
