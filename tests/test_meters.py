@@ -178,7 +178,7 @@ def test_colours_follow_springs_that_were_changed(source):
 
 
 @pytest.mark.parametrize("view", mostly_thorough(["ggui", "gui"], ["gui"]))
-def test_views_draw_them(device, source, view, tmp_path):
+def test_views_draw_them(device, source, view, tmp_path, monkeypatch):
     """A picture of the run with meters has them at the right, and strain's colours in the world."""
     from PIL import Image
 
@@ -192,8 +192,11 @@ def test_views_draw_them(device, source, view, tmp_path):
     shown = opened.open(sim.scene.world, (800, 600), "test", visible=False)
     show = frozenset({"springs", "particles", "strain"})
     path = str(tmp_path / "frame.png")
+    made, advance = [], sim.advance
+    monkeypatch.setattr(sim, "advance", lambda frames: (made.append(frames), advance(frames)))
     app.run(sim, shown, frames=20, quiet=True, meters=True, show=show, image=path)
     shown.close()
+    assert made == [1] * 20  # as graphs show each
     picture = np.asarray(Image.open(path))
     column = arrange((800, 600), Parts(strip=2, columns=("meters",))).columns["meters"]
     beside = picture[column.y : column.y + column.height, column.x :]

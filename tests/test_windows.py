@@ -592,6 +592,37 @@ def test_a_recorded_run_replays_exactly():
     assert repr(again.calls) == repr(live.calls)
 
 
+def advances(sim, view, frames, **asked):
+    """How many frames the run asked for at once, each time."""
+    app.run(sim, view, frames=frames, quiet=True, device="test", **asked)
+    return [call[1] for call in calls(sim, "advance")]
+
+
+def test_frames_that_nothing_looks_at_are_made_together():
+    sim = simulation("spawn")
+    log = Log({40: [press("left", (100, 100))]}, window=[600, 400], seed=3)
+    made = advances(sim, NullView(sim.scene.world), 300, replay=log)
+    assert sum(made) == 300 and max(made) > 1 and set(made[:41]) == {1}
+    (spawned,) = (n for n, call in enumerate(sim.calls) if call[0] == "spawn")
+    assert sim.calls[:spawned] == [("advance", 1)] * 40
+
+
+@pytest.mark.parametrize("looks", ("trajectory", "on_frame", "budget", "film"))
+def test_each_frame_is_made_by_itself_where_something_looks(looks, tmp_path):
+    sim, seen = simulation("spawn"), []
+    view = Script(*[[]] * 31) if looks == "film" else NullView(sim.scene.world)
+    view.visible = False
+    note = lambda *_: seen.append(sim.frame)  # noqa: E731
+    asked = {
+        "trajectory": SimpleNamespace(record=note),
+        "on_frame": note,
+        "budget": SimpleNamespace(chosen="1%", before_frame=note, after_frame=lambda *_: None),
+        "film": str(tmp_path / "film.gif"),
+    }
+    assert advances(sim, view, 30, **{looks: asked[looks]}) == [1] * 30
+    assert len(seen) == (0 if looks == "film" else 30)
+
+
 def test_a_resized_window_records_in_the_first_windows_pixels():
     recorded, sim = Recorded(), simulation("spawn")
     view = Script([press("left", (100, 100))], [press("left", (200, 200))], [])

@@ -13,7 +13,7 @@ import numpy as np
 from taichi_cloth.errors import InputError, RunFailure, SimulationFailure
 from taichi_cloth.ui import film as films
 from taichi_cloth.ui import hud
-from taichi_cloth.ui.chrome.budget import METHOD
+from taichi_cloth.ui.chrome.budget import METHOD, OFF
 from taichi_cloth.ui.controls import Controls
 from taichi_cloth.ui.inputs import COMMANDS, KEYS, RESET_KEY, WINDOW_KEYS, Event
 from taichi_cloth.ui.interaction import LogEvent
@@ -34,6 +34,11 @@ from taichi_cloth.ui.views.contract import View
 if TYPE_CHECKING:
     from taichi_cloth.simulation.live import Value
     from taichi_cloth.simulation.simulation import Simulation
+
+# Frames that nothing looks at are advanced together, as a launch each takes longer than frames of
+# small scenes: as many as take so many seconds, in which a bar does not seem to stand still, and
+# at most so many.
+TOGETHER, MOST_TOGETHER = 0.02, 64
 
 
 class Loop:
@@ -79,6 +84,7 @@ class Loop:
         self._schedule = Schedule()
         self._started: float | None = None
         self._simulate, self._draw = 0.0, 0.0
+        self._a_frame = TOGETHER  # seconds that the last frames took to simulate, each
         self._resume = 0  # the frame from which a run that failed may go on with what survives
 
     # One turn
@@ -101,8 +107,11 @@ class Loop:
         return self.view.closed or self.state.quit or self.state.left
 
     def turn(self) -> None:
-        """Events, at most one frame, draw, and the wait until the next frame is due."""
-        began = time.perf_counter()
+        """Events, at most one frame, draw, and the wait until the next frame is due.
+
+        Of frames that nothing looks at there may be more.
+        """
+        began, before = time.perf_counter(), self.state.frames
         self._entitle()
         self._take_events()
         if self.ended:
@@ -122,7 +131,8 @@ class Loop:
         draw = time.perf_counter() - begin
         self._draw += draw
         if advanced:
-            self._note_cost(simulate, draw)
+            self._a_frame = simulate / max(self.state.frames - before, 1)
+            self._note_cost(self._a_frame, draw)
         if seen:
             self.sim.prepare_click()
             if self._request.beside:
@@ -167,7 +177,7 @@ class Loop:
             self._shown.leave()
         self._advance()
         simulate = time.perf_counter() - begin
-        if self.state.frames > 1:  # the first compiles
+        if self.state.frames > 1:  # the first compiles, and is never one of several
             self._simulate += simulate
         return simulate
 
@@ -188,9 +198,9 @@ class Loop:
         self._controls.before_frame(replayed=state.replaying)
         if self._shown.chrome.is_open("meters"):
             self._shown.meters.before_frame()
-        begin = time.perf_counter()
+        begin, done = time.perf_counter(), self.sim.frame
         try:
-            self.sim.advance(1)
+            self.sim.advance(self._together())
         except SimulationFailure as error:
             if not self.view.visible:
                 raise
@@ -200,13 +210,25 @@ class Loop:
             self._shown.meter.interrupt()
             self._examine()
             return
+        finally:
+            state.frames += self.sim.frame - done
         if self._shown.pair:
             self._shown.pair.note(time.perf_counter() - begin)
-        state.frames += 1
         if request.trajectory is not None:
             request.trajectory.record(self.sim)
         if self._travel:
             self._travel.note(state.frames)
+
+    def _together(self) -> int:
+        """How many frames to advance at once: one where anything may look at each."""
+        state, request = self.state, self._request
+        looked_at = self.view.visible or self._takes.filming or self._shown.chrome.is_open("meters")
+        held = request.budget is not None and request.budget.chosen != OFF
+        by_frame = request.on_frame, request.trajectory, request.beside
+        if looked_at or held or state.replaying or any(what is not None for what in by_frame):
+            return 1
+        left = (request.frames or state.frames + 1) - state.frames
+        return max(1, min(int(TOGETHER / self._a_frame), MOST_TOGETHER, left))
 
     def _give(self, name: str, value: Value) -> None:
         """Have what a budget chose take effect; say so before that compiles."""
