@@ -5,6 +5,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -823,3 +824,23 @@ def test_who_begins_inside_is_named_and_who_has_no_room_is_refused(device, capsy
     sim = Simulation(Scene("stuck", world, particles, obstacles=tuple(walls)), execution="serial")
     with pytest.raises(InputError, match="particle 0 begins inside obstacle 0, and .* no room"):
         run_notes.note_inside(sim, RunOptions())
+
+
+def test_particles_wider_than_the_world_are_named_for_it(capsys):
+    """A file in metres that says no radius has the original's, of 5."""
+    sides = ("left", "right", "bottom")
+    world = World(size=(4.0, 3.0), gravity=(0.0, 0.0), walls=sides, contact="resting")
+
+    def made(radius):
+        return Scene("wide", world, Particles.build([[1.0, 2.0], [2.0, 2.0]], radius=radius))
+
+    run_notes.note_wide(made([1.5, 1.4]))
+    assert not capsys.readouterr().err
+    run_notes.note_wide(made([1.4, 5.0]))
+    assert "note: particle 1 has a radius of 5, in a world of 3; " in capsys.readouterr().err
+    scene = made([5.0, 0.1])
+    begun = SimpleNamespace(
+        scene=scene, inside_at_start=lambda: inside_at_start(scene, solids(scene))
+    )
+    with pytest.raises(InputError, match="particle 0 begins inside left wall: particle 0 has a r"):
+        run_notes.note_inside(begun, RunOptions())

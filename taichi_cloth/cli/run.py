@@ -141,6 +141,7 @@ def _run_in(window: Window, run: Run, device: Device) -> int:
             print(f"beside it: {beside.names()[1]}", flush=True)
         run_notes.note_passing(source, run.of.scene)
         run_notes.note_parted(run.of.scene)
+        run_notes.note_wide(run.of.scene)
         run_notes.note_reset(files.recordings, view)
     begin, words = time.perf_counter(), run_report.words_of(source, options)
     with (

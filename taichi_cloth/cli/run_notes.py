@@ -148,6 +148,25 @@ def last_line(sim: Simulation, summary: Summary, seconds: float, waited: float) 
     )
 
 
+def _too_wide(scene: Scene) -> str:
+    """What to say of a particle that no place in the world has room for; "": there is none."""
+    side, radius = min(scene.world.size), scene.particles.radius
+    wide = numpy.flatnonzero(2.0 * radius > side)
+    if not len(wide):
+        return ""
+    return (
+        f"particle {wide[0]} has a radius of {radius[wide[0]]:g}, in a world of {side:g}; a scene "
+        "file says it by radius in [particle], which is 5 where it does not"
+    )
+
+
+def note_wide(scene: Scene) -> None:
+    """Say on standard error that particles are wider than the world, which nobody would want."""
+    words = _too_wide(scene)
+    if words:
+        say(f"note: {words}")
+
+
 def note_inside(sim: Simulation, options: RunOptions) -> None:
     """Say on standard error which particles begin inside an obstacle, from which they are pushed.
 
@@ -157,6 +176,9 @@ def note_inside(sim: Simulation, options: RunOptions) -> None:
     if len(inside.stuck):
         first = int(inside.stuck[0])
         name = inside.solid[int(numpy.searchsorted(inside.particles, first))]
+        words = _too_wide(sim.scene)
+        if words:
+            raise InputError(f"particle {first} begins inside {name}: {words}")
         raise InputError(
             f"particle {first} begins inside {name}, and what is around leaves it no room; "
             "move it, or make it fixed"
