@@ -292,6 +292,49 @@ def test_what_touches_is_seen_in_positions():
     }
 
 
+def test_what_bounced_within_a_frame_touched_in_it():
+    """What came and goes, both in 1.5 frames at most: off a wall, a pair, a sphere that moves."""
+    world = World((40.0, 40.0), gravity=(0.0, 0.0), walls=("left",), collisions=True)
+    rows = [  # place and speed along x a frame of 0.1 earlier and now
+        (1.05, -1.0, 1.04, 1.0),  # off the wall
+        (1.09, -1.0, 1.07, 1.0),  # turned before the wall: too late for a bounce
+        (1.01, 1.0, 1.11, 1.0),  # goes
+        (1.20, -1.0, 1.10, -1.0),  # comes
+        (1.05, -1.0, 1.04, 1.0),  # fixed
+        *((20.0, 1.0, 20.0, -1.0), (22.05, -1.0, 22.06, 1.0)),  # a pair that collided
+        *((20.0, 1.0, 20.0, -1.0), (22.20, -1.0, 22.12, 1.0)),  # one that turned before it
+        *((20.0, -1.0, 19.9, -1.0), (22.01, 1.0, 22.11, 1.0)),  # one that goes
+        *((20.0, 1.0, 20.0, -1.0), (22.05, -1.0, 22.06, 1.0)),  # both fixed
+        (33.05, 0.0, 33.16, 2.0),  # hit by the sphere
+        (26.95, 0.0, 26.95, 0.0),  # which leaves this one
+    ]
+    across = [2, 6, 10, 14, 18, 5, 5, 10, 10, 15, 15, 20, 20, 30, 30]
+    was, had, x, v = np.array(rows).T
+    sphere = tc.Obstacle.build("sphere", centre=[30.0, 30.0], radius=2.0, velocity=[1.0, 0.0])
+    moments = [
+        Moment(np.column_stack([at, across]), np.column_stack([speed, 0.0 * at]), time)
+        for at, speed, time in ((was, had, 0.0), (x, v, 0.1))
+    ]
+    fixed = np.isin(np.arange(len(rows)), [4, 11, 12])
+    particles = Particles.build(moments[0].x, radius=1.0, fixed=fixed)
+    scene = Scene("x", world, particles, obstacles=(sphere,))
+    before, now = moments
+    found = touching(scene, solids(scene), now, before)
+    assert found.pairs.tolist() == [[5, 6]]
+    things = {name: ids.tolist() for name, ids in found.things.items()}
+    assert things == {"left wall": [0], "obstacle 0": [13]}
+    of_now = touching(scene, solids(scene), fresh(now))
+    assert not len(of_now.pairs) and not any(map(len, of_now.things.values()))
+    # Pairs that rest on each other do not bounce.
+    resting = scene.with_world(contact="resting")
+    assert not len(touching(resting, solids(resting), *map(fresh, (now, before))).pairs)
+
+
+def fresh(moment):
+    """The same, of which nobody has asked what is in the way."""
+    return replace(moment, gaps=[])
+
+
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("kind", ["<f4", ">f8", "<f2"])
 def test_files_of_other_programs_are_read_in_our_types(swings, tmp_path, kind):

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from taichi_cloth import benchmarks, console, runtime
@@ -228,6 +229,12 @@ def test_stability_fits(width, capsys):
     stability_report.show(library.build("cloth"), limits, stall, all_methods=True)
     shown = capsys.readouterr().out
     assert_fits(shown, width, *(of.method for of in limits), "computed", "measured", "set by")
+    stability_report.say_of_wind(np.array([0.0, 0.25, 0.125]))
+    shown = capsys.readouterr().out
+    assert "at its strongest: a rate of 0.25." in " ".join(shown.split())
+    assert_fits(shown, width)
+    stability_report.say_of_wind(np.zeros(3))
+    assert capsys.readouterr().out == ""
 
 
 def test_explain_fits(width, capsys):

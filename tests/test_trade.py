@@ -490,6 +490,87 @@ def test_files_keep_the_contract_and_say_the_same(oscillator):
     assert done == of and int(of) >= len(table) and not re.search(progress, printed, re.M)
 
 
+def test_rows_are_a_study_s_outcomes_beside_its_reference(tmp_path):
+    """By hand: of two free particles one is 5, then 10 from the reference, the other one on it."""
+    x = np.tile([[10.0, 50.0], [20.0, 50.0], [30.0, 50.0]], (3, 1, 1))
+    particles = Particles.build(x[0], fixed=[True, False, False])
+    springs = Springs.build([(0, 1), (1, 2)], x[0], stiffness=1.0, break_force=9.0)
+    scene = Scene("row", World((100.0, 100.0), (0.0, 0.0)), particles, springs)
+
+    def samples(*ways, breaks=(3, 3), first_touch=math.nan):
+        moved, alive = x.copy(), np.arange(3)[:, None] < np.array(breaks)
+        moved[1:, 1] += ways
+        contacts = [[0.0, 0.0, math.nan], [0.4, 0.5, first_touch], [0.4, 0.7, first_touch]]
+        return Samples(moved, 0.0 * x, alive, np.array(contacts))
+
+    def outcome(setting, *ways, seconds=(), **of):
+        file = tmp_path / f"{len(list(tmp_path.iterdir()))}.npz"
+        np.savez(file, **vars(samples(*ways, **of)))
+        about = {"device": "cpu", "threads": 2, "topology": "graph", "of the process": 1}
+        work = {"force_evaluations": 12, "sweeps": 34, "unconverged": 5}
+        return Outcome(setting, file=file, seconds=list(seconds), about=about, timed_on="m", **work)
+
+    rough = Setting("implicit_midpoint", 1.0, 2, tolerance=0.1)
+    exact = settings.converged(rough)
+    lone = replace(rough, dt=2.0)  # whose converged run is missing
+    verlet = [Setting("verlet", 1.0, count) for count in (1, 2, 4)]
+    found = [
+        outcome(rough, [3, 4], [6, 8], seconds=(3, 1, 2), breaks=(1, 2), first_touch=2.0),
+        outcome(lone, [3, 4], [6, 8]),
+        outcome(verlet[0], [0, 0], [0.8, 0], seconds=(0.5,)),
+        outcome(verlet[1], [0, 0], [0.2, 0], seconds=(0.75,)),
+        outcome(verlet[2], [0, 0], [0.002, 0], seconds=(1.0,)),  # which nobody can tell from
+        outcome(replace(verlet[2], precision="f32"), [0, 0], [0.004, 0], seconds=(1.0,)),
+        failed_by(Outcome(replace(verlet[0], dt=9.0)), WorkerFailed("too long")),
+    ]
+    true = samples([0, 0], [0, 0], breaks=(2, 3), first_touch=1.5)
+    apart = SimpleNamespace(trajectory=1e-3)
+    horizon = reference.Horizon(9, 2, 20.0, "", 1e-4)  # of a floor of 0.01
+    judge = reference.Reference(true, "", "", apart)
+    result = Result(scene, found, {exact: outcome(exact, [0, 0], [0, 6])}, horizon, judge)
+    made = rows.rows_of(
+        result, {"scene_hash": "h", "versions": "v"}, ["taichi-cloth", "run", "x y"]
+    )
+    first, alone, *rest, failed = made
+
+    assert first.error_final_rms == pytest.approx(math.sqrt(100 / 2))
+    assert first.error_final_max == first.error_trajectory_max == pytest.approx(10.0)
+    assert first.error_trajectory == pytest.approx(math.sqrt((25 + 100) / 4))
+    for name in ("error_final_rms", "error_final_max", "error_trajectory"):
+        of_scale = getattr(first, f"{name}_relative")
+        assert of_scale == pytest.approx(getattr(first, name) / 20.0), name
+    assert first.error_discretisation == pytest.approx(math.sqrt(36 / 4))
+    assert first.error_solver == pytest.approx(math.sqrt((25 + 36 + 4) / 4))
+    assert alone.error_discretisation is alone.error_solver is None and alone.error_trajectory > 5
+    assert rest[0].error_discretisation == rest[0].error_trajectory == pytest.approx(0.4)
+    assert rest[0].error_solver is None
+
+    assert (first.breaks, first.breaks_agreeing) == (2, 1)
+    assert (first.first_break, first.first_break_later) == (1, -1)
+    touched = first.penetration_max, first.contact_energy, first.first_touch_later
+    assert touched == (0.4, 0.7, 0.5)
+    assert first.max_strain == pytest.approx(1 - math.hypot(7, 4) / 10)  # of what holds
+
+    assert (first.wall_lower, first.wall_seconds, first.wall_upper) == (1.5, 2.0, 2.5)
+    assert (first.repeats, first.timed_on, first.frames) == (3, "m", 2)
+    assert (first.device, first.threads, first.topology) == ("cpu", 2, "graph")
+    assert (first.force_evaluations, first.sweeps, first.unconverged) == (12, 34, 5)
+    assert (first.scene_hash, first.versions) == ("h", "v")
+    assert first.command == " ".join(["taichi-cloth run 'x y'", *rough.words()])
+    assert alone.wall_seconds is alone.repeats is None and alone.timed_on == ""
+
+    assert [row.below_floor for row in made] == [False] * 4 + [True] * 2 + [False]
+    assert {row.floor for row in made[:-1]} == {0.01} and {row.scale for row in made[:-1]} == {20.0}
+    assert [row.order for row in rest] == [None, pytest.approx(2.0), None, None]
+    # What cannot be told from none is alike: two that cost the same are both on the front.
+    assert [row.pareto for row in made] == [False, False, True, True, True, True, False]
+    assert rest[2].told() == (0.01, pytest.approx(0.01 / 20))
+    assert first.told() == (first.error_trajectory, first.error_trajectory_relative)
+    assert first.a_frame(first.wall_seconds) == 1.0 and alone.a_frame(alone.wall_seconds) is None
+    assert failed.status == "failed: too long" and not failed.ok
+    assert failed.error_trajectory is failed.floor is failed.wall_seconds is None
+
+
 def test_what_overflowed_is_null_in_the_files():
     """Masses of 1e300 have such energies; JSON has no word for them."""
     row = rows.Row(Setting("verlet", 1.0, 1), energy_drift=math.inf, momentum_drift=math.nan)
@@ -746,6 +827,33 @@ def test_default_settings_follow_from_the_claims():
             assert frequency / counts[0] > limit >= frequency / counts[1]
     quick = settings.choose(scene, TradeOptions(quick=True))
     assert len(quick) < len(chosen) and {s.method for s in quick} == set(methods.METHODS)
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"methods": "rk4", "substeps": "1"}, "1 setting that 120 s and more plan: compensated"),
+        (
+            {"methods": "vbd", "precisions": "f64", "substeps": "1"},
+            "2 settings that 120 s and more plan: 4 and 16 iterations",
+        ),
+        (
+            {"methods": "rk4", "precisions": "f64"},
+            "2 settings that 120 s and more plan: more substeps",
+        ),
+        (
+            {"methods": "vbd", "iterations": "3"},
+            "10 settings that 120 s and more plan: compensated, more substeps",
+        ),
+        ({"methods": "rk4", "precisions": "f64", "substeps": "1,2"}, None),
+    ],
+)
+def test_what_a_minute_does_not_plan_is_said(given, says):
+    scene, quick = library.build("oscillator"), TradeOptions(quick=True, **given)
+    lines = settings.unplanned(scene, quick, settings.choose(scene, quick))
+    assert lines == ([] if says is None else [says])
+    whole = TradeOptions(**given)
+    assert settings.unplanned(scene, whole, settings.choose(scene, whole)) == []
 
 
 def test_no_method_is_named_where_methods_are_compared():
