@@ -21,6 +21,7 @@ from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.cloth import grid
 from taichi_cloth.scene.model import Particles, Scene, SpringDefaults, Springs, World
 from taichi_cloth.scene.source import SceneSource
+from taichi_cloth.scene.stencils import Stencils
 from taichi_cloth.simulation.diagnostics import acceleration_at_start
 from taichi_cloth.stability import command as stability_command
 from taichi_cloth.trade import command as trade_command
@@ -343,6 +344,156 @@ def two_particles(**changes) -> Scene:
 def test_scenes_built_by_hand(changes, says):
     with pytest.raises(InputError) as refused:
         validate(two_particles(**changes))
+    assert str(refused.value).startswith(says)
+
+
+AIR = {"density": 1.2}
+BREEZE = {"velocity": (1.0, 0.0, 0.0)}
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"size": (1.0,)}, "size must be 2 or 3 lengths, is (1)"),
+        ({"size": (1e101, 1.0)}, "size must be from 1e-100 to 1e+100, is 1e+101; use other units"),
+        ({"size": (1.0, 1e-101)}, "size must be from 1e-100 to 1e+100, is 1e-101; use other units"),
+        ({"gravity": 1.0}, "gravity must be a list of numbers, is 1.0"),
+        ({"gravity": (0.0, 1.0, 0.0)}, "gravity must have 2 numbers in a 2-D world, is (0.0, 1.0"),
+        ({"gravity": ((0.0,), (1.0,))}, "gravity must have 2 numbers in a 2-D world, is ((0.0,)"),
+        ({"gravity": (0.0, np.nan)}, "gravity must be a finite number, is nan"),
+        ({"dt": 0.0}, "dt must be positive, is 0"),
+        ({"walls": "left"}, "walls must be a list of names, is"),
+        ({"walls": (1,)}, "walls: a name is expected, not 1"),
+        ({"walls": ("lfet",)}, "unknown wall 'lfet'; did you mean 'left'?"),
+        ({"walls": ("front",)}, "a 2-D world has no front wall; known: "),
+        ({"collisions": 1}, "collisions must be True or False, is 1"),
+        ({"up": 3}, "up: a name is expected, not 3"),
+        ({"up": "z"}, "up must be 'y', or absent where y points down, is 'z'"),
+        ({"mouse": None}, "mouse: a name is expected, not None"),
+        ({"mouse": "blwo"}, "unknown mouse mode 'blwo'; did you mean 'blow'?"),
+        ({"ground": np.inf}, "ground must be a finite number, is inf"),
+        ({"contact": "restign"}, "unknown contact 'restign'; did you mean 'resting'?"),
+        ({"friction": -0.1}, "friction must not be negative, is -0.1"),
+        ({"friction": 0.1}, "friction acts on a ground and on resting walls; set contact = 're"),
+        ({"more": [1]}, "more must be a mapping of keys to values, is (1,)"),
+        ({"more": {"wnid": BREEZE}}, "unknown key 'wnid'; did you mean 'wind'?"),
+        ({"more": {"air": AIR}}, "air: a 2-D world has none; give size three lengths"),
+        ({"dim": 3, "more": {"wind": BREEZE}}, "wind does nothing without air; give both"),
+        ({"dim": 3, "more": {"air": 1.2}}, "air must be a table with density, drag, lift, is 1.2"),
+        ({"dim": 3, "more": {"air": {}}}, "air: 'density' is missing"),
+        (
+            {"dim": 3, "more": {"air": {**AIR, "darg": 1.0}}},
+            "air: unknown key 'darg'; did you mean 'drag'?",
+        ),
+        (
+            {"dim": 3, "more": {"air": {"density": -1.0}}},
+            "air.density must be at least 0, is -1",
+        ),
+        (
+            {"dim": 3, "more": {"air": AIR, "wind": {"velocity": (1.0, 0.0)}}},
+            "wind.velocity must have 3 numbers in a 3-D world, is (1.0, 0.0)",
+        ),
+        (
+            {"dim": 3, "more": {"air": AIR, "wind": {**BREEZE, "seed": 1.5}}},
+            "wind.seed must be a whole number, is 1.5",
+        ),
+    ],
+)
+def test_worlds_built_by_hand(given, says):
+    dim, changes = given.get("dim", 2), {k: v for k, v in given.items() if k != "dim"}
+    world = {"size": (10.0,) * dim, "gravity": (0.0,) * dim} | changes
+    with pytest.raises(InputError) as refused:
+        validate(Scene("by hand", World(**world), Particles.none(dim)))
+    assert str(refused.value).startswith(f"world: {says}")
+
+
+def test_worlds_at_their_limits_are_accepted():
+    air = {"air": AIR, "wind": {**BREEZE, "seed": 2.0}}
+    for given in (
+        {"size": (1e100, 1e-100)},
+        {"friction": 0.5, "ground": 1.0},
+        {"friction": 0.5, "contact": "resting"},
+        {"friction": 0.0, "walls": ("left",)},
+        {"size": (1.0, 1.0, 1.0), "gravity": (0.0,) * 3, "walls": ("front",), "more": air},
+        {"size": (1.0, 1.0, 1.0), "gravity": (0.0,) * 3, "more": {"air": AIR}},
+    ):
+        world = World(**{"size": (1.0, 1.0), "gravity": (0.0, 0.0), **given})
+        validate(Scene("by hand", world, Particles.none(world.dim)))
+    edge = Particles.build([[0.0, 0.0], [10.0, 10.0]], color=[[0, 255, 0], [255, 0, 255]])
+    assert validate(replace(two_particles(), particles=edge, spring_color=(0, 255, 7)))
+
+
+def row_of(*particle, weight=(-2.0, 1.0, 1.0), start=(0, 3)):
+    arrays = np.array(start), np.array(particle), np.array(weight), np.ones(len(start) - 1)
+    return {"stencils": Stencils(*arrays)}
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"triangles": np.zeros((2, 2), int)}, "triangles: must have shape (m, 3), has (2, 2)"),
+        (
+            {"triangles": [[0, 1, 2], [0, 3, 1]]},
+            "triangle 1: there is no particle 3; the scene has particles 0 to 2",
+        ),
+        (
+            {"triangles": [[0, 1, 2], [-1, 3, 1]]},
+            "triangle 1: there is no particle -1; the scene has particles 0 to 2",
+        ),
+        *(
+            (
+                {"triangles": [[0, 1, 2], corners]},
+                f"triangle 1: two of its corners {tuple(corners)} are one particle; give three",
+            )
+            for corners in ([0, 0, 1], [1, 0, 0], [0, 1, 0])
+        ),
+        (
+            {"between": [[0, 1], [2, 3]]},
+            "spring 1: there is no particle 3; the scene has particles",
+        ),
+        (
+            {"between": [[0, 1], [3, 2]]},
+            "spring 1: there is no particle 3; the scene has particles",
+        ),
+        ({"between": [[-1, 1], [0, 2]]}, "spring 0: there is no particle -1; the scene has par"),
+        ({"between": [[0, 1], [2, 2]]}, "spring 1: it ties particle 2 to itself; give two"),
+        (
+            {"between": [[0, 2], [0, 1], [1, 0]]},
+            "spring 2: it ties particles 0 and 1, as spring 1 already does",
+        ),
+        ({"color": [[0, 0, 0], [0, 0, 256], [1, 1, 1]]}, "particle 1: color must be whole numbers"),
+        ({"color": [[0, 0, 0], [1, 1, 1], [0, -1, 0]]}, "particle 2: color must be whole numbers"),
+        (row_of(1, 0, 3), "stencil 0: the scene has particles 0 to 2, not all of (1, 0, 3)"),
+        (row_of(1, -1, 2), "stencil 0: the scene has particles 0 to 2, not all of (1, -1, 2)"),
+        (row_of(1, 0, 1), "stencil 0: a particle is twice in (1, 0, 1)"),
+        (
+            row_of(1, 0, 2, weight=(-2.0, np.inf, 1.0)),
+            "stencil 0: weights must be finite numbers, are (-2, inf, 1)",
+        ),
+        (
+            row_of(1, 0, 2, weight=(-2.0, 1.0, 1.1)),
+            "stencil 0: weights must add up to 0, are (-2, 1, 1.1)",
+        ),
+        (
+            row_of(*(1, 0, 2), *(0, 1), weight=(-2.0, 1.0, 1.0, -1.0, 1.0), start=(0, 3, 5)),
+            "stencil 1: between must have at least 3 particles",
+        ),
+    ],
+)
+def test_what_ties_particles_built_by_hand(given, says):
+    x = np.array([[1.0, 1.0], [2.0, 1.0], [2.0, 2.0]])
+    scene = Scene("three", World((10.0, 10.0), (0.0, 0.0)), Particles.build(x))
+    springs = Springs.build([(0, 1), (0, 2), (1, 2)], x)
+    if "between" in given:
+        between = np.array(given["between"])
+        springs = replace(springs.select(np.arange(len(between))), between=between)
+        scene = replace(scene, springs=springs)
+    elif "color" in given:
+        scene = replace(scene, particles=replace(scene.particles, color=np.array(given["color"])))
+    else:
+        scene = replace(scene, **given)
+    with pytest.raises(InputError) as refused:
+        validate(scene)
     assert str(refused.value).startswith(says)
 
 
