@@ -15,9 +15,11 @@ from taichi_cloth.errors import InputError
 from taichi_cloth.files.trajectory import Trajectory
 from taichi_cloth.kernels import forces
 from taichi_cloth.kernels.forces.contract import ACCELERATION, FORCE, has
+from taichi_cloth.scene import scenefile
 from taichi_cloth.scene.library import build
-from taichi_cloth.simulation import diagnostics
+from taichi_cloth.simulation import diagnostics, editing
 from taichi_cloth.simulation.simulation import Simulation
+from taichi_cloth.simulation.snapshot import Snapshot
 
 pytestmark = pytest.mark.usefixtures("device", "few_lanes")
 
@@ -302,6 +304,20 @@ REFUSED = [
     (lambda sim: sim.set(stiffness=1.0, kind="bend"), "no regular grid of the scene has bend"),
     (lambda sim: sim.set(mass=1.0, particles=[True]), "a mask must have 48 values"),
     (lambda sim: sim.set(positions=(-1.0, 5.0), particles=4), "particle 4 at .* outside the world"),
+    (lambda sim: sim.set(stiffness=1.0, springs=[1], kind="shear"), "springs and kind both select"),
+    (lambda sim: sim.set(stiffness=1.0, particles=[1]), "none of what is set belongs to particles"),
+    (lambda sim: sim.set(gravity=(0.0, 1.0), springs=[1]), "set: springs: none of what is set"),
+    (lambda sim: sim.set(gravity=(0.0, 1.0), kind="shear"), "set: kind: none of what is set"),
+    (
+        lambda sim: sim.set(bending=1.0),
+        "set: bending: nothing in the scene has it; give its cloths",
+    ),
+    (lambda sim: sim.set(air={"density": 1.0}), "set: air: a 2-D world has none"),
+    (lambda sim: sim.set(friction=-0.5), "set: friction must not be negative, is -0.5"),
+    (lambda sim: sim.set(collisions=1), "set: collisions must be True or False, is 1"),
+    (lambda sim: sim.add_spring(0, 48), "no particle 48; the scene has particles 0 to 47"),
+    (lambda sim: sim.add_spring(48, 0), "no particle 48; the scene has particles 0 to 47"),
+    (lambda sim: sim.add_spring(1, 0), "add_spring: spring 0 ties particles 1 and 0 already"),
     (lambda sim: sim.pin(None), "pin: particles must be an index"),
     (lambda sim: sim.cut(-1), "cut: springs: no spring -1"),
     (lambda sim: sim.remove(48), "remove: particles: no particle 48"),
@@ -325,6 +341,95 @@ REFUSED = [
     (lambda sim: sim.topology_of([]), "--method must be one of"),
     (lambda sim: sim.obstacles("now"), "obstacles: time must be a number, is 'now'"),
 ]
+
+
+IN_AIR = """
+[world]
+size = [9.0, 9.0, 9.0]
+air = { density = 1.2, drag = 1.1 }
+contact = "resting"
+[[obstacles]]
+shape = "sphere"
+centre = [1.0, 8.0, 0.0]
+radius = 0.5
+friction = 0.25
+[[obstacles]]
+shape = "sphere"
+centre = [8.0, 8.0, 0.0]
+radius = 0.5
+friction = 0.5
+[[cloths]]
+origin = [3.0, 3.0, 0.0]
+columns = 4
+rows = 3
+spacing = 0.5
+bending = 2e-3
+"""
+
+
+def with_set(now, **given):
+    return editing.with_values(now, given, editing.Selection())
+
+
+def test_what_is_set_of_a_world_leaves_the_rest_of_it():
+    """Some keys of a table, all of it, or none any more; friction, which each obstacle has."""
+    now = Snapshot.at_start(scenefile.parse(IN_AIR))
+    breeze = {"velocity": (1.0, 0.0, 0.0), "seed": 3.0}
+    world = with_set(now, air={"drag": 2.0}, wind=breeze).scene.world
+    assert world.more["air"] == {"density": 1.2, "drag": 2.0}
+    assert world.more["wind"] == breeze and world.gravity == now.scene.world.gravity
+    blown = with_set(now, wind=breeze)
+    assert with_set(blown, wind=None).scene.world.more == now.scene.world.more
+    rubbing = with_set(now, friction=0.5).scene
+    first, second = rubbing.obstacles
+    assert rubbing.world.friction == first.value("friction") == 0.5
+    assert first.value("radius") == 0.5 and second is now.scene.obstacles[1]
+    assert with_set(now, collisions=True).scene.world.collisions is True
+    bent = with_set(now, bending=0.5).scene.stencils
+    assert (bent.bending == 0.5).all() and len(bent) == len(now.scene.stencils)
+    assert editing.same(with_set(now, bending=now.scene.stencils.bending), now)
+    assert not editing.same(with_set(now, air={"drag": 2.0}), now)
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"air": 3}, "set: air must be a mapping with density, drag, lift, is 3"),
+        ({"air": {"darg": 1.0}}, "set: air: unknown key 'darg'; did you mean 'drag'"),
+        ({"air": {"drag": -1.0}}, "set: air.drag must be at least 0, is -1.0"),
+        ({"wind": {"gust": 1.0}}, "set: wind: 'velocity' is missing"),
+        ({"wind": {"velocity": (1.0, 0.0)}}, r"set: wind.velocity must have 3 numbers"),
+        (
+            {"wind": {"velocity": (1.0, 0.0, 0.0), "seed": 1.5}},
+            "set: wind.seed must be a whole number, is 1.5",
+        ),
+        (
+            {"wind": {"velocity": (1.0, 0.0, 0.0)}, "air": None},
+            "set: wind does nothing without air; set both",
+        ),
+        ({"bending": -1.0}, "set: bending must not be negative, is -1.0"),
+        ({"bending": [1.0, 2.0]}, "set: bending must be one number for all stencils, or an array"),
+    ],
+)
+def test_what_is_set_of_a_world_is_refused_in_one_line(given, says):
+    with pytest.raises(InputError, match=says):
+        with_set(Snapshot.at_start(scenefile.parse(IN_AIR)), **given)
+
+
+def test_a_particle_is_put_anywhere_inside_and_may_stay_where_it_got_by_itself():
+    now = Snapshot.at_start(scenefile.parse(IN_AIR))
+    low, high = now.scene.world.low, now.scene.world.high
+    x = now.x.copy()
+    x[0], x[1] = low, high
+    assert (with_set(now, positions=x).x == x).all()
+    for axis in range(3):
+        for beyond in (low - 1.0, high + 1.0):
+            x[2] = now.x[2]
+            x[2, axis] = beyond[axis]
+            with pytest.raises(InputError, match="particle 2 at .* which reaches from"):
+                with_set(now, positions=x)
+            strayed = replace(now, x=x.copy())
+            assert (with_set(strayed, positions=x).x == x).all()
 
 
 def test_wrong_arguments_are_refused_in_one_line_and_change_nothing(pool):

@@ -7,6 +7,7 @@ are extreme even in these. What comes out is compared with `running_error.Twin`.
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import hypothesis.strategies as st
 import numpy as np
@@ -20,8 +21,10 @@ from taichi_cloth import runtime
 from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.limits.auto_step import above_limit
 from taichi_cloth.limits.precision import unresolved
+from taichi_cloth.scene import library
 from taichi_cloth.scene.model import WALLS, Particles, Scene, Springs, World
 from taichi_cloth.simulation.diagnostics import acceleration_at_start
+from taichi_cloth.trade import ode
 
 FRAMES = 3
 # Part of the largest movement that a run may be off without a warning, where rounding adds up.
@@ -199,6 +202,36 @@ def test_drag_counts_at_the_start():
     particles = Particles.build([[10.0, 10.0]], [[3.0, -2.0]], mass=2.0, viscous=0.5)
     scene = Scene("slowed", World((40.0, 30.0), (0.0, 0.0)), particles)
     np.testing.assert_allclose(acceleration_at_start(scene), [[-0.75, 0.5]])
+
+
+def test_all_forces_count_at_the_start():
+    """Springs, dashpots, drag, gravity, bending and wind: those of the differential equation."""
+    scene = library.build("flag", columns=7, wind=6.0)
+    rng = np.random.default_rng(2)
+    p, springs, stencils = scene.particles, scene.springs, scene.stencils
+    moved = replace(
+        p,
+        position=p.position + rng.uniform(-0.01, 0.01, p.position.shape),
+        velocity=rng.uniform(-1.0, 1.0, p.position.shape),
+        viscous=rng.uniform(0.1, 0.2, len(p)),
+    )
+    full = replace(
+        scene,
+        particles=moved,
+        springs=replace(springs, damping=np.full(len(springs), 0.01)),
+        stencils=replace(stencils, bending=1e3 * stencils.bending),
+    )
+    exact = ode.Forces(full).acceleration(moved.position, moved.velocity, 0.0)
+    free = ~p.fixed
+    found = acceleration_at_start(full)
+    np.testing.assert_allclose(found[free], exact[free], rtol=1e-9, atol=1e-9)
+    for without in (
+        {"stencils": stencils},
+        {"springs": springs},
+        {"triangles": full.triangles[:0]},
+    ):
+        less = acceleration_at_start(replace(full, **without))
+        assert abs(less - found)[free].max() > 0.1, without.keys()
 
 
 def test_what_no_precision_can_watch_is_named_so(pool):

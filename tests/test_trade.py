@@ -827,6 +827,13 @@ def test_default_settings_follow_from_the_claims():
             assert frequency / counts[0] > limit >= frequency / counts[1]
     quick = settings.choose(scene, TradeOptions(quick=True))
     assert len(quick) < len(chosen) and {s.method for s in quick} == set(methods.METHODS)
+    # Without fast_math there is f32 once more, and all else as it was.
+    both = settings.choose(scene, TradeOptions(without_fast_math=True))
+    assert len(set(both)) == len(both) and set(chosen) < set(both)
+    assert {s.lacks_fast_math for s in chosen} == {False}
+    again = [s for s in both if s.lacks_fast_math]
+    assert {replace(s, fast_math=True) for s in again} == {s for s in chosen if s.fast_math}
+    assert len(both) == len(chosen) + len(again)
 
 
 @pytest.mark.parametrize(
