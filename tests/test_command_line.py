@@ -10,6 +10,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -558,6 +559,27 @@ def test_a_run_few_of_whose_steps_did_not_converge_is_noted(pool, monkeypatch, c
             else:
                 run_notes.check_converged(sim, options)
                 assert f"note: {unconverged} of 4 steps" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("faces", "pairs", "near", "thick", "says"),
+    [
+        (0, 0, 0, True, []),
+        (3, 0, 0, False, ["3 of 9 steps ended with faces or edges of a cloth inside an obstacle"]),
+        (0, 2, 0, False, ["2 of 9 steps ended with pairs that overlap by more than a hundredth"]),
+        (0, 2, 0, True, ["2 of 9 steps ended with pairs that overlap by more than a tenth"]),
+        (0, 0, 1, True, ["1 pair of particles ended so near that triangles of cloth might"]),
+        (1, 9, 7, True, ["1 of 9 steps", "9 of 9 steps", "7 pairs of particles ended"]),
+    ],
+)
+def test_what_was_given_up_is_noted(faces, pairs, near, thick, says, capsys):
+    scene = SimpleNamespace(features=lambda: SimpleNamespace(thick=thick))
+    counts = {"unsettled_faces": faces, "unsettled": pairs, "uncertified": near}
+    of = {name: lambda count=count: count for name, count in counts.items()}
+    run_notes.note_unsettled(SimpleNamespace(scene=scene, steps=9, **of))
+    lines = " ".join(capsys.readouterr().err.split()).split("taichi-cloth: note: ")[1:]
+    assert len(lines) == len(says)
+    assert all(line.startswith(words) for line, words in zip(lines, says, strict=True)), lines
 
 
 def let_work(process, seconds):

@@ -39,6 +39,7 @@ from taichi_cloth.scene.solids import (
 )
 from taichi_cloth.settings.options import RunOptions
 from taichi_cloth.simulation.checkpoint import Checkpoint
+from taichi_cloth.simulation.readings import Readings
 from taichi_cloth.simulation.simulation import Simulation
 
 G, RADIUS = 9.81, 0.1
@@ -551,6 +552,25 @@ def test_who_is_in_a_ball_free_of_obstacles_would_have_met_nothing(
     assert balls > 20 and none == 0
 
 
+def test_what_is_drawn_is_in_its_place_and_resting_walls_are_not():
+    """Obstacles in their order, then the ground; at the time that is asked for, or now."""
+    sphere = Obstacle.build("sphere", centre=[5.0, 2.0], radius=0.5, velocity=[1.0, -0.5])
+    box = Obstacle.build("box", centre=[2.0, 2.0], half=[0.5, 0.25], spin=90.0)
+    walls = {"walls": ("left",), "contact": "resting", "ground": 1.0}
+    world = World((10.0, 10.0), gravity=(0.0, -1.0), up="y", **walls)
+    scene = Scene("drawn", world, Particles.none(2), obstacles=(sphere, box))
+    assert [solid.name for solid in solids(scene)][-1] == "left wall"
+    sim = SimpleNamespace(storage=SimpleNamespace(scene=scene, solids=solids(scene)), time=3.0)
+    for time, at in ((None, 3.0), (1.0, 1.0)):
+        drawn = Readings.obstacles(sim, time)
+        assert [one.name for one in drawn] == ["obstacle 0", "obstacle 1", "ground"]
+        ball, turned, ground = (one.points() for one in drawn)
+        away = np.linalg.norm(ball - [5.0 + at, 2.0 - 0.5 * at], axis=1)
+        assert away.max() == pytest.approx(0.5)
+        assert np.abs(turned - [2.0, 2.0]).max(axis=0) == pytest.approx([0.25, 0.5])
+        assert ground[:, 1].max() == 1.0 and np.ptp(ground[:, 0]) > 10.0
+
+
 @pytest.mark.thorough
 def test_nothing_passes_through_in_one_step(device):
     """A plate thinner than a particle's step, and a sphere that flies through a sheet of them."""
@@ -668,6 +688,21 @@ def test_a_cloth_that_begins_through_a_box_is_not_thrown(device, capsys):
             energies.append(10.0 * ((lengths - rest) ** 2).sum() + 0.5e-3 * (v**2).sum())
             assert sim.depths().max() < 1e-12
         assert max(energies) == energies[0] and sim.unsettled_faces() == 0
+    # A blade that comes so fast that sweeps are given up; the count stays until a reset.
+    blade = Obstacle.build("box", centre=[5.0, 0.7, 0.02], half=half, velocity=[0.0, 5.0, 0.0])
+    sim.load_scene(loose_sheet(blade, gravity=(0.0, 0.0, 0.0)))
+    for count in (0, 0, 1):
+        sim.advance()
+        inside = deepest_face(sim) > (0.0005 + 0.002) / 2
+        assert sim.unsettled_faces() == count == inside
+    run_notes.note_unsettled(sim)
+    assert "note: 1 of 3 steps ended with faces or edges of a cloth" in capsys.readouterr().err
+    sim.set(stiffness=3.0)  # which loads
+    assert sim.unsettled_faces() == 1 and sim.unsettled() == 0
+    sim.reset()
+    assert sim.unsettled_faces() == 0
+    run_notes.note_unsettled(sim)
+    assert capsys.readouterr().err == ""
     # What is pushed to one side, or lies on a rod, is tested as ever; what is fixed may be inside.
     rod = Obstacle.build("capsule", **(ROD | {"ends": [[4.0, 1.0, 0.0], [6.0, 1.0, 0.0]]}))
     for obstacle in (rod, Obstacle.build("box", centre=[5.0, 0.9, 0.0], half=[0.3, 0.12, 0.3])):

@@ -1,6 +1,7 @@
 """Cloths with a thickness: no triangle meets another one, and contacts give no energy."""
 
 from dataclasses import fields, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.model import Particles, Scene, World
 from taichi_cloth.scene.obstacles import Obstacle
 from taichi_cloth.scene.spheres import needed_diameters, too_near
+from taichi_cloth.simulation.readings import Readings
 from taichi_cloth.simulation.storage import layouts
 
 WIDTH = 1.0
@@ -368,6 +370,13 @@ def test_spheres_are_as_wide_as_spacing_asks_and_say_so():
     pressed = scene.particles.position * [1.0, 0.1, 1.0]
     free = replace(of, start=0 * of.start, other=of.other[:0])
     assert len(too_near(pressed, scene.triangles, free)) > 100
+    whole = np.arange(len(scene.triangles)) % 3 > 0
+    thin = sheets(11, [0.5], thickness=0.0)
+    for of_scene, alive in ((scene, np.ones_like(whole)), (scene, whole), (thin, None)):
+        near = [] if alive is None else too_near(pressed, scene.triangles[alive], of)
+        storage = SimpleNamespace(scene=of_scene, triangles_alive=lambda alive=alive: alive)
+        read = SimpleNamespace(storage=storage, positions=lambda: pressed)
+        assert Readings.uncertified(read) == len(near)
     # Neighbours keep 0.7 of their distance, sheets that start nearer what they start with.
     row = slice(of.start[60], of.start[61])
     within, across = of.other[row] < 121, of.other[row] >= 121
@@ -378,5 +387,4 @@ def test_spheres_are_as_wide_as_spacing_asks_and_say_so():
     np.testing.assert_allclose(of.reach[row], np.where(within, 0.7, 1.0) * apart, rtol=1e-12)
     thick = scene.with_world(gravity=(0.0, 0.0, 0.0))
     assert thick.features().thick and thick.features().resting
-    thin = sheets(11, [0.5], thickness=0.0)
     assert not thin.features().thick and not thin.features().collisions
