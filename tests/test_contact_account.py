@@ -11,7 +11,7 @@ from taichi_cloth.scene.cloth import grid, grid_stencils, grid_triangles
 from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.model import ParticleDefaults, Particles, Scene, SpringDefaults, World
 from taichi_cloth.scene.obstacles import Obstacle
-from taichi_cloth.scene.penetration import deepest, touches
+from taichi_cloth.scene.penetration import deepest, overlapping, touches
 from taichi_cloth.scene.solids import solids
 from taichi_cloth.simulation import diagnostics
 from taichi_cloth.simulation.simulation import Simulation
@@ -215,6 +215,25 @@ def test_the_deepest_penetration_is_that_of_all_pairs_walls_and_obstacles():
                     if not (fixed[i] and fixed[j]):
                         found.append(radius[i] + radius[j] - np.linalg.norm(x[i] - x[j]))
             assert deepest(scene, solids(scene), x, 2.0) == pytest.approx(max(found))
+
+
+def test_pairs_that_overlap_at_the_start_are_all_but_fixed_ones():
+    """Against every pair compared; what touches to the bit does not overlap."""
+    rng = np.random.default_rng(6)
+    x, radius = rng.uniform(0.0, 10.0, (40, 2)), rng.uniform(0.1, 0.8, 40)
+    x[:3], radius[:3] = [[20.0, 5.0], [21.0, 5.0], [22.0, 5.0]], 0.5
+    fixed = (rng.uniform(size=40) < 0.4) & (np.arange(40) > 2)
+    world = World(size=(30.0, 10.0), gravity=(0.0, 0.0))
+    scene = Scene("many", world, Particles.build(x, radius=radius, fixed=fixed))
+    expected = {
+        (i, j)
+        for j in range(40)
+        for i in range(j)
+        if not (fixed[i] and fixed[j]) and np.linalg.norm(x[i] - x[j]) < radius[i] + radius[j]
+    }
+    held = {(i, j) for j in range(40) for i in range(j) if fixed[i] and fixed[j]}
+    assert len(expected) > 10 and any(np.linalg.norm(x[i] - x[j]) < 0.5 for i, j in held)
+    assert {tuple(sorted(pair)) for pair in overlapping(scene).tolist()} == expected
 
 
 def test_an_empty_scene_and_one_without_contact_have_none(device):
