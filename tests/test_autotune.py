@@ -75,6 +75,8 @@ def test_a_run_starts_in_one_way_and_remembers_what_it_costs(device, empty_cache
         patch.setattr(sixteen, "LANES", sim.lanes)
         for _ in range(6):
             sim.advance()
+        assert sim.way == f"{sim.execution} {sim.topology} of {sim.lanes}"
+    assert sim.way == f"{sim.execution} {sim.topology}"
     assert autotune.measurements() == []
     monkeypatch.setattr(Watch, "ENOUGH", 6)
     for _ in range(6):

@@ -229,6 +229,8 @@ def test_stability_fits(width, capsys):
     stability_report.show(library.build("cloth"), limits, stall, all_methods=True)
     shown = capsys.readouterr().out
     assert_fits(shown, width, *(of.method for of in limits), "computed", "measured", "set by")
+    table, _, left_out = shown.partition("Left out, for the terminal is narrow: ")
+    assert ("Gershgorin" in left_out) is (width < 120) is not ("Gershgorin" in table)
     stability_report.say_of_wind(np.array([0.0, 0.25, 0.125]))
     shown = capsys.readouterr().out
     assert "at its strongest: a rate of 0.25." in " ".join(shown.split())

@@ -863,6 +863,17 @@ def test_what_a_minute_does_not_plan_is_said(given, says):
     assert settings.unplanned(scene, whole, settings.choose(scene, whole)) == []
 
 
+def test_a_converged_solver_is_of_the_same_step_in_f64():
+    """By what its method takes: residuals, or sweeps; without a solver there is none."""
+    rough = Setting("implicit_midpoint", 0.5, 3, "f32", True, "cuda", tolerance=0.1)
+    exact = settings.converged(rough)
+    assert exact == Setting("implicit_midpoint", 0.5, 3, tolerance=settings.CONVERGED_TOLERANCE)
+    swept = settings.converged(replace(rough, method="vbd", tolerance=None, iterations=4))
+    assert swept == Setting("vbd", 0.5, 3, iterations=settings.CONVERGED_ITERATIONS)
+    assert settings.converged(exact) == exact and settings.converged(swept) == swept
+    assert settings.converged(replace(rough, method="verlet", tolerance=None)) is None
+
+
 def test_no_method_is_named_where_methods_are_compared():
     folder = Path(settings.__file__).parent
     # The commands of a document's parts say which methods a part is about.
