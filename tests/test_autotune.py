@@ -77,6 +77,7 @@ def test_a_run_starts_in_one_way_and_remembers_what_it_costs(device, empty_cache
             sim.advance()
         assert sim.way == f"{sim.execution} {sim.topology} of {sim.lanes}"
     assert sim.way == f"{sim.execution} {sim.topology}"
+    assert sim.lanes == (2 if sim.topology == "lanes" else 1)
     assert autotune.measurements() == []
     monkeypatch.setattr(Watch, "ENOUGH", 6)
     for _ in range(6):

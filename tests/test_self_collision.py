@@ -370,13 +370,15 @@ def test_spheres_are_as_wide_as_spacing_asks_and_say_so():
     pressed = scene.particles.position * [1.0, 0.1, 1.0]
     free = replace(of, start=0 * of.start, other=of.other[:0])
     assert len(too_near(pressed, scene.triangles, free)) > 100
-    whole = np.arange(len(scene.triangles)) % 3 > 0
-    thin = sheets(11, [0.5], thickness=0.0)
+    whole, folded = np.arange(len(scene.triangles)) % 3 > 0, scene.particles.position.copy()
+    folded[:, 0] = np.abs(folded[:, 0] - 1.5)
+    thin, found = sheets(11, [0.5], thickness=0.0), []
     for of_scene, alive in ((scene, np.ones_like(whole)), (scene, whole), (thin, None)):
-        near = [] if alive is None else too_near(pressed, scene.triangles[alive], of)
         storage = SimpleNamespace(scene=of_scene, triangles_alive=lambda alive=alive: alive)
-        read = SimpleNamespace(storage=storage, positions=lambda: pressed)
-        assert Readings.uncertified(read) == len(near)
+        read = SimpleNamespace(storage=storage, positions=lambda: folded)
+        found.append(Readings.uncertified(read))
+    near = [len(too_near(folded, scene.triangles[alive], of)) for alive in (whole | True, whole)]
+    assert found == [*near, 0] and near[0] > near[1] > 100
     # Neighbours keep 0.7 of their distance, sheets that start nearer what they start with.
     row = slice(of.start[60], of.start[61])
     within, across = of.other[row] < 121, of.other[row] >= 121

@@ -25,7 +25,7 @@ from discrete import DISCRETE
 from selection import thorough
 
 from taichi_cloth.cli.main import main
-from taichi_cloth.errors import InputError
+from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.files import pending
 from taichi_cloth.kernels import methods
 from taichi_cloth.measuring.timing import Quiet
@@ -34,7 +34,8 @@ from taichi_cloth.scene import library
 from taichi_cloth.scene.model import Particles, Scene, Springs, World
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.sweeps import TradeOptions
-from taichi_cloth.trade import ode, plot, reference, rows, settings, tune
+from taichi_cloth.simulation.diagnostics import ContactAccount, Work
+from taichi_cloth.trade import ode, plot, reference, rows, settings, trial, tune
 from taichi_cloth.trade.command import FILES, write
 from taichi_cloth.trade.errors import (
     Breaks,
@@ -467,6 +468,7 @@ def test_files_keep_the_contract_and_say_the_same(oscillator):
         }
         assert row["wall_lower"] <= row["wall_seconds"] <= row["wall_upper"]
         assert row["repeats"] >= 3 and row["status"] == "ok"
+        assert (row["execution"], row["threads"]) == ("serial", 1)  # of so few particles
         assert row["error_trajectory_relative"] == pytest.approx(
             row["error_trajectory"] / whole["environment"]["scale"]
         )
@@ -793,6 +795,97 @@ def test_what_ends_a_sweep_is_one_line_and_status_3(failure, monkeypatch, capsys
         error = capsys.readouterr().err
         assert error.startswith("taichi-cloth: error: ") and error.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+class Ticking:
+    """A clock that goes on by a second whenever it is read."""
+
+    def __init__(self):
+        self.at = 0.0
+
+    def perf_counter(self):
+        self.at += 1.0
+        return self.at
+
+
+@pytest.fixture
+def tried(pool, monkeypatch):
+    """A trial of the oscillator, in this process, by a clock of ours."""
+    made = object.__new__(trial.Trial)
+    made._sim, made._ran = pool(library.build("oscillator"), "rk4"), set()
+    monkeypatch.setattr(trial, "time", Ticking())
+    return made
+
+
+def test_a_trial_samples_each_frame_and_what_it_took(tried, tmp_path, monkeypatch):
+    sim = tried._sim
+    found = tried.sample(0.5, 3, {}, 4, str(tmp_path / "a.npz"))
+    samples = Samples.read(tmp_path / "a.npz")
+    assert samples.x.shape == samples.v.shape == (5, 2, 2) and samples.alive.shape == (5, 0)
+    assert samples.contacts.shape == (5, 3) and np.isnan(samples.contacts).all()
+    sim.set_step(0.5, 3)
+    sim.reset()
+    for frame in range(5):
+        assert (samples.x[frame] == sim.positions()).all()
+        assert (samples.v[frame] == sim.velocities()).all()
+        sim.advance()
+    work = {"force_evaluations": 4 * 3 * 4, "sweeps": 0, "unconverged": 0}
+    # The clock is read at the start and the end, and twice for each state.
+    assert found == {"failed": "", **work, "sampled_in": 11.0, "read_in": 5.0}
+
+    # A run that fails ends with its last good frame; one that does not solve its steps has failed.
+    advance = sim.advance
+
+    def failing(frames=1):
+        if sim.frame == 2:
+            raise SimulationFailure(1, 3, "runs away", "a long step", "shorten it")
+        advance(frames)
+
+    monkeypatch.setattr(sim, "advance", failing)
+    found = tried.sample(0.5, 3, {}, 4, str(tmp_path / "b.npz"))
+    assert found["failed"] == "failed: frame 3, particle 1 runs away; a long step"
+    assert (Samples.read(tmp_path / "b.npz").x == samples.x[:3]).all()
+    monkeypatch.setattr(sim, "advance", advance)
+    monkeypatch.setattr(sim, "describe_convergence", lambda: "none of its steps did")
+    for missed, failed in ((6, ""), (7, "failed: none of its steps did")):
+        monkeypatch.setattr(sim, "work", lambda missed=missed: Work(12, 48, 0, missed))
+        found = tried.sample(0.5, 3, {}, 4, str(tmp_path / "c.npz"))
+        assert (found["failed"], found["unconverged"]) == (failed, missed)
+        assert len(Samples.read(tmp_path / "c.npz")) == 5
+
+
+def test_a_trial_keeps_what_contacts_did_until_each_frame(tried, tmp_path, monkeypatch):
+    """The deepest of all frames yet; no energy where there is no account, as on a GPU."""
+    sim, nan = tried._sim, math.nan
+    tried.sample(0.5, 3, {}, 4, str(tmp_path / "a.npz"))
+    monkeypatch.setattr(sim, "can_touch", lambda: True)
+    for account, told in (
+        (None, [nan, nan]),
+        (ContactAccount(0.5, -0.25, None), [0.5, nan]),
+        (ContactAccount(0.5, -0.25, 1.75), [0.5, 1.75]),
+    ):
+        depths = iter([0.1, 0.3, 0.2, 0.4])
+        monkeypatch.setattr(sim, "penetration", lambda depths=depths: next(depths))
+        monkeypatch.setattr(sim, "contact_account", lambda account=account: account)
+        tried.sample(0.5, 3, {}, 4, str(tmp_path / "a.npz"))
+        expected = [[deepest, *told] for deepest in (0.0, 0.1, 0.3, 0.3, 0.4)]
+        contacts = Samples.read(tmp_path / "a.npz").contacts
+        np.testing.assert_array_equal(contacts, np.array(expected))
+
+
+@pytest.mark.parametrize(
+    ("budget", "runs"), [(0.4, 1), (0.5, 2), (1.5, 3), (2.5, 3), (3.0, 4), (1e9, 6)]
+)
+def test_a_trial_is_timed_as_often_as_its_budget_lasts(budget, runs, tried, monkeypatch):
+    """Of a second each: three times and more, but for one that alone takes twice the budget."""
+    monkeypatch.setattr(trial, "MOST_REPEATS", 6)
+    frames = []
+    advance = tried._sim.advance
+    monkeypatch.setattr(tried._sim, "advance", lambda n: frames.append(n) or advance(n))
+    assert tried.time(1.0, 2, {}, 3, budget) == [1.0] * runs
+    assert frames == [3] * (runs + 1) and tried._sim.frame == 3  # one before, which is not timed
+    tried.time(1.0, 2, {}, 3, budget)
+    assert frames == [3] * (2 * runs + 1)
 
 
 def test_settings_that_the_machine_lost_are_no_choice():
