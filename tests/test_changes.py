@@ -388,7 +388,18 @@ def test_what_is_set_of_a_world_leaves_the_rest_of_it():
     bent = with_set(now, bending=0.5).scene.stencils
     assert (bent.bending == 0.5).all() and len(bent) == len(now.scene.stencils)
     assert editing.same(with_set(now, bending=now.scene.stencils.bending), now)
-    assert not editing.same(with_set(now, air={"drag": 2.0}), now)
+    assert editing.same(
+        with_set(now, gravity=now.scene.world.gravity, mass=now.scene.particles.mass), now
+    )
+    for given in (
+        *({"air": {"drag": 2.0}}, {"gravity": (0.0, 1.0, 0.0)}, {"collisions": True}),
+        *({"friction": 0.1}, {"bending": 0.5}, {"mass": 2.0}, {"fixed": True}, {"stiffness": 9.0}),
+        *({"velocities": (1.0, 0.0, 0.0)}, {"positions": (4.0, 4.0, 0.0)}),
+    ):
+        assert not editing.same(with_set(now, **given), now), given
+    assert not editing.same(editing.with_cut(now, np.array([3]), 1), now)
+    rubbing = replace(now, scene=replace(now.scene, obstacles=rubbing.obstacles))
+    assert not editing.same(rubbing, now)
 
 
 @pytest.mark.parametrize(

@@ -625,6 +625,31 @@ def test_commands_have_the_numbers_that_were_measured(dt, tolerance):
     assert "--dt 1 --substeps 2 --tolerance 0.01 " in short
 
 
+@pytest.mark.parametrize(
+    ("setting", "says", "flags"),
+    [
+        (
+            Setting("vbd", 1.0, 1, "f32", False, "cuda", iterations=8),
+            "vbd, 1 substep, 8 iterations, cuda f32 without fast_math",
+            "--substeps 1 --iterations 8 --arch cuda --precision f32 --no-fast-math",
+        ),
+        (
+            Setting("tr_bdf2", 1.0, 4, "f32", True, tolerance=1e-6),
+            "tr_bdf2, 4 substeps, tolerance 1e-06, cpu f32",
+            "--substeps 4 --tolerance 1e-06 --arch cpu --precision f32",
+        ),
+        (
+            Setting("rk4", 1.0, 2),
+            "rk4, 2 substeps, cpu f64",
+            "--substeps 2 --arch cpu --precision f64",
+        ),
+    ],
+)
+def test_a_setting_is_said_in_words_and_in_flags(setting, says, flags):
+    assert setting.describe() == says
+    assert " ".join(setting.words()) == f"--method {setting.method} --dt 1 {flags}"
+
+
 def test_a_row_can_be_run_again(oscillator, cli, tmp_path):
     """Its command gives the state that it was judged by."""
     row = next(r for r in read(oscillator[0]) if r["precision"] == "f64" and r["substeps"] == 2)
