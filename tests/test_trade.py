@@ -858,6 +858,14 @@ def test_a_trial_samples_each_frame_and_what_it_took(tried, tmp_path, monkeypatc
     # The clock is read at the start and the end, and twice for each state.
     assert found == {"failed": "", **work, "sampled_in": 11.0, "read_in": 5.0}
 
+    # It is run with the solver's numbers that are asked for, which a run's device is told of.
+    told, reset = [], sim.reset
+    monkeypatch.setattr(sim, "solver", {})
+    monkeypatch.setattr(sim, "reset", lambda: told.append(dict(sim.solver)) or reset())
+    tried.sample(0.5, 3, {"iterations": 7}, 4, str(tmp_path / "a.npz"))
+    assert told and all(numbers == {"iterations": 7} for numbers in told)
+    sim.solver.clear()
+
     # A run that fails ends with its last good frame; one that does not solve its steps has failed.
     advance = sim.advance
 
