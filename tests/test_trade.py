@@ -989,6 +989,30 @@ def test_what_a_minute_does_not_plan_is_said(given, says):
     assert settings.unplanned(scene, whole, settings.choose(scene, whole)) == []
 
 
+def test_what_is_asked_for_is_compared_where_a_method_takes_it():
+    scene = library.build("oscillator")
+    asked = {"dt": 0.25, "substeps": "2,1", "precisions": "f64", "tolerances": "1e-3,1e-6"}
+    chosen = settings.choose(
+        scene, TradeOptions(methods="vbd,rk4,tr_bdf2", iterations="3", **asked)
+    )
+    assert scene.world.dt != 0.25
+    assert chosen == [
+        *(Setting("vbd", 0.25, n, iterations=3) for n in (1, 2)),
+        *(Setting("rk4", 0.25, n) for n in (1, 2)),
+        *(Setting("tr_bdf2", 0.25, n, tolerance=t) for t in (1e-6, 1e-3) for n in (1, 2)),
+    ]
+    # Of a frame a quarter as long a quarter of the substeps is stable.
+    for method in ("verlet", "rk4"):
+        stiff = library.build("oscillator", stiffness=300.0)
+        whole, short = (
+            settings.choose(stiff, TradeOptions(methods=method, precisions="f64", dt=dt))
+            for dt in (1.0, 0.25)
+        )
+        assert [s.substeps for s in whole] == [4 * s.substeps for s in short]
+    with pytest.raises(InputError, match="--iterations: none of the chosen methods takes it"):
+        settings.choose(scene, TradeOptions(methods="rk4,tr_bdf2", iterations="3"))
+
+
 def test_a_converged_solver_is_of_the_same_step_in_f64():
     """By what its method takes: residuals, or sweeps; without a solver there is none."""
     rough = Setting("implicit_midpoint", 0.5, 3, "f32", True, "cuda", tolerance=0.1)
