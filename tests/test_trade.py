@@ -1295,7 +1295,7 @@ class MadeUpStudies:
         yield SimpleNamespace(
             interrupted=False, rows=made, reference=SimpleNamespace(samples=samples),
             horizon=SimpleNamespace(asked=10, frames=10), check_whole=lambda: None, left_out=[],
-            outcomes=[outcome], clock=how.clock,
+            outcomes=[outcome], clock=how.clock, check_some=lambda asked: None,
         )  # fmt: skip
 
     def row(self, setting, error):

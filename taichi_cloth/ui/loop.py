@@ -228,7 +228,8 @@ class Loop:
         if looked_at or held or state.replaying or any(what is not None for what in by_frame):
             return 1
         left = (request.frames or state.frames + 1) - state.frames
-        return max(1, min(int(TOGETHER / self._a_frame), MOST_TOGETHER, left))
+        fit = int(TOGETHER / max(self._a_frame, TOGETHER / MOST_TOGETHER))
+        return max(1, min(fit, left))
 
     def _give(self, name: str, value: Value) -> None:
         """Have what a budget chose take effect; say so before that compiles."""
