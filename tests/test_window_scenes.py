@@ -84,7 +84,8 @@ def test_a_scene_whose_file_was_edited_is_read_anew_with_its_flags_and_seen_as_i
     file, log = tmp_path / "own.toml", tmp_path / "log.jsonl"
     file.write_text(text)
     source = SceneSource(str(file), assignments=(assignments.read("world.friction=0.5"),))
-    options = RunOptions.from_given({"record": str(log), "substeps": 4, "resume": "a.npz"})
+    given = {"record": str(log), "substeps": 4, "resume": "a.npz", "paused": True}
+    options = RunOptions.from_given(given)
     scene = source.build()
     view = NullView(scene.world)
     view.visible, view.camera = True, camera_of(scene)
@@ -115,6 +116,7 @@ def test_a_scene_whose_file_was_edited_is_read_anew_with_its_flags_and_seen_as_i
             assert run.of.source == source and run.of.options.substeps == 4
             assert run.of.options.record == str(tmp_path / "log-own.jsonl")
             assert run.of.options.resume is None and "resume" not in run.of.options.given
+            assert not run.of.options.paused  # which the window says: it may play by now
             assert set(run.of.scene.springs.stiffness) == {0.25}
             assert run.of.scene.world.friction == 0.5  # what was assigned is still
             assert (window.scenes.pose, view.look) == (pose, look)

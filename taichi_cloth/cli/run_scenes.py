@@ -114,7 +114,8 @@ class Window:
         """Make the present scene ready as its file says by now, with the flags that it had."""
         now = self._now
         options = files_of(self._options, scene.name, onto=now.options)
-        options = replace(options, resume=None, given=options.given - {"resume"})
+        # Whether it is paused by now is for `Scenes` to say, and not for a flag of the start.
+        options = replace(options, resume=None, paused=False, given=options.given - {"resume"})
         names = self._make(now.source, scene, options)
         if now.options.resume is not None:
             names.append(f"--resume was of {Path(self.scenes.file).name} before")
