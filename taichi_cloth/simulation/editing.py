@@ -81,9 +81,10 @@ def with_values(now: Snapshot, given: Mapping[str, Any], selection: Selection) -
         scene = scene.with_parts(springs=_with_numbers(scene.springs, of_springs, tied, x))
     if OF_STENCILS in given:
         scene = scene.with_parts(stencils=_with_bending(scene, given[OF_STENCILS]))
-    edited = replace(now.moved(x, v), scene=scene)
-    changed = scene.particles.fixed != now.scene.particles.fixed
-    return replace(edited, grips=edited.grips and edited.grips.but(changed))
+    edited, before = replace(now.moved(x, v), scene=scene), now.scene.particles.fixed
+    changed = scene.particles.fixed != before
+    grips = edited.grips and edited.grips.but(changed)
+    return replace(edited, judged=edited.judged.freed(changed & before), grips=grips)
 
 
 def with_spring(now: Snapshot, i: int, j: int, given: Mapping[str, Any]) -> tuple[Snapshot, int]:

@@ -36,6 +36,13 @@ class Judged:
         left = ~gone[self.elements].any(axis=1)
         return Judged(self.elements[left], self.through[left])
 
+    def freed(self, particles: np.ndarray) -> Judged:
+        """What is known once some particles, (n,) bool, are fixed no more: their faces, which such
+        a corner kept from being asked, are asked now.
+        """
+        left = self.through | ~particles[self.elements].any(axis=1)
+        return Judged(self.elements[left], self.through[left])
+
     def of(self, elements: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Of elements (k, 3), which ones are known, and which of these go through, (k,) bool."""
         if len(self.elements) == 0:
