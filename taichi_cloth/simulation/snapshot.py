@@ -75,8 +75,8 @@ class Grips:
 
     def select(self, particles: np.ndarray) -> Grips:
         """Those of some particles, by number; -1: of one that came."""
-        by = np.where(particles < 0, self.UNKNOWN, self.by[particles])
-        return Grips(by, self.at[particles])
+        by, at = np.append(self.by, self.UNKNOWN), np.pad(self.at, ((0, 1), (0, 0)))
+        return Grips(by[particles], at[particles])
 
 
 @dataclass(frozen=True)
