@@ -1,6 +1,7 @@
 """Fixed particles that go with an obstacle that moves, under every method, in every way to run."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from selection import mostly_thorough, thorough
 
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods
+from taichi_cloth.post_mortem.trace import traced
 from taichi_cloth.scene import scenefile
 from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.cloth import grid, grid_triangles
@@ -15,6 +17,8 @@ from taichi_cloth.scene.model import Particles, Scene, World
 from taichi_cloth.scene.obstacles import Obstacle
 from taichi_cloth.scene.solids import solids
 from taichi_cloth.simulation.checkpoint import Checkpoint
+from taichi_cloth.simulation.past import Past
+from taichi_cloth.simulation.simulation import Simulation
 
 WAYS = [f"{topology} {path}" for topology in ("lanes", "graph") for path in ("serial", "parallel")]
 ALONG = np.array([0.3, -0.2, 0.1])
@@ -127,6 +131,31 @@ def test_what_is_fixed_or_put_in_a_run_goes_with_what_it_is_at_by_then(pool, tmp
         new = Particles.build([place], fixed=True)
         grown = sim.storage.judged(sim.storage.snapshot().with_particle(new, None), sim.time)
         assert grown.grips.by.tolist() == [-1, -1, -1, 0, -1, -1, -1, -1, -1, -1, -1, by]
+
+
+def met(sim):
+    """Which obstacle meets or carries a particle in the next frame, as if that had failed."""
+    sim.past = Past()
+    sim.past.failure = SimpleNamespace(frame=sim.frame + 1)
+    found, sim.past = traced(sim, 5.0).met, None
+    return found
+
+
+def test_a_trace_names_who_is_carried_by_now_and_an_empty_scene_takes_who_comes(device):
+    """It named one that began in a grip, by a number of then; the spawn was an IndexError."""
+    scene = pulled(velocity=[1.0, 0.0, 0.0])
+    sim = Simulation(scene, substeps=2, topology="graph", execution="serial")
+    sim.advance(2)
+    assert met(sim) == ("obstacle 0", 0, 1.0)
+    sim.remove([0, 1, 2])
+    assert met(sim) == ("obstacle 0", 1, 1.0) and sim.fixed()[1]
+    sim.set(positions=sim.positions() + [0.0, 0.5, 0.0])
+    assert met(sim) == ("", -1, 0.0)
+    sim.remove(np.ones(9, bool))
+    there = np.array([0.9 + sim.time, 2.05, 0.3])
+    sim.spawn(there, fixed=True)
+    sim.advance(10)
+    np.testing.assert_allclose(sim.positions(), [there + [0.1, 0.0, 0.0]], atol=1e-12)
 
 
 def test_grips_are_read_written_and_refused():

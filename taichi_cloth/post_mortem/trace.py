@@ -21,7 +21,6 @@ from taichi_cloth.post_mortem.done import Act, act_of
 from taichi_cloth.post_mortem.sample import Sample
 from taichi_cloth.runtime import current_device
 from taichi_cloth.scene.model import Particles
-from taichi_cloth.scene.solids import held as carried_by
 from taichi_cloth.simulation.acts import do_again
 from taichi_cloth.simulation.gauges import Gauges
 from taichi_cloth.simulation.past import SPAN, Past, Place, Settings, go_to
@@ -248,9 +247,7 @@ def _met(sim: Simulation, dt: float) -> tuple[str, int, float]:
     found, x = NOBODY, sim.positions().astype(np.float64)
     if not len(x):
         return found
-    solids, begin = sim.storage.solids, sim.time
-    carried, _ = carried_by(sim.scene, solids)
-    carried = np.append(carried, np.full(max(len(x) - len(carried), 0), -1))[: len(x)]
+    solids, carried, begin = sim.storage.solids, sim.storage.carried(), sim.time
     for index, solid in enumerate(solids):
         if not solid.moving:
             continue

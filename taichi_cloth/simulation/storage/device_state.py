@@ -152,6 +152,11 @@ class DeviceState:
         """How many of the scene's elements go through an obstacle since they were put there."""
         return int(self._taken.judged.through.sum())
 
+    def carried(self) -> np.ndarray:
+        """Which of `solids` each particle goes with, (n,), -1: none."""
+        grips = self._taken.grips
+        return np.full(len(self._taken.x), -1) if grips is None else grips.by
+
     def _upload(self) -> Upload:
         now = self._now
         return Upload(
