@@ -19,40 +19,49 @@ OWN = frozenset({"fixed", "mass", "color"})
 class Judged:
     """Which of a scene's `elements` go through an obstacle since they were put where they are.
 
-    elements: (m, 3), by their corners, those that were looked at since. through: (m,) bool, those
-    that go through one (`solids.goes_through`), which keeps out their particles alone.
+    elements: (m, 3), by their corners. known: (m,) bool, those that were looked at since. through:
+    (m,) bool, those of them that go through one (`solids.goes_through`), which keeps out their
+    particles alone.
     """
 
     elements: np.ndarray
+    known: np.ndarray
     through: np.ndarray
 
     @classmethod
     def none(cls) -> Judged:
         """None was looked at."""
-        return cls(np.zeros((0, 3), np.int64), np.zeros(0, bool))
+        return cls(np.zeros((0, 3), np.int64), np.zeros(0, bool), np.zeros(0, bool))
+
+    def _only(self, known: np.ndarray) -> Judged:
+        """What is known of those of the elements, (m,) bool, for which that stays."""
+        return Judged(self.elements, self.known & known, self.through & known)
 
     def without(self, gone: np.ndarray) -> Judged:
-        """What is known of elements that have none of some particles, (n,) bool."""
+        """What is known of elements that have none of some particles, (n,) bool, which go."""
         left = ~gone[self.elements].any(axis=1)
-        return Judged(self.elements[left], self.through[left])
+        return Judged(self.elements[left], self.known[left], self.through[left])
+
+    def moved(self, particles: np.ndarray) -> Judged:
+        """What is known once some particles, (n,) bool, were put elsewhere."""
+        return self._only(~particles[self.elements].any(axis=1))
 
     def freed(self, particles: np.ndarray) -> Judged:
         """What is known once some particles, (n,) bool, are fixed no more: their faces, which such
         a corner kept from being asked, are asked now.
         """
-        left = self.through | ~particles[self.elements].any(axis=1)
-        return Judged(self.elements[left], self.through[left])
+        return self._only(self.through | ~particles[self.elements].any(axis=1))
 
     def of(self, elements: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Of elements (k, 3), which ones are known, and which of these go through, (k,) bool."""
         if len(self.elements) == 0:
             return np.zeros(len(elements), bool), np.zeros(len(elements), bool)
         if np.array_equal(elements, self.elements):
-            return np.ones(len(elements), bool), self.through
+            return self.known, self.through
         both = np.concatenate([self.elements, elements])
         _, number = np.unique(both, axis=0, return_inverse=True)
         number, was = number.ravel(), np.full(len(both), -1)
-        was[number[: len(self.elements)]] = self.through
+        was[number[: len(self.elements)]] = np.where(self.known, self.through, -1)
         found = was[number[len(self.elements) :]]
         return found >= 0, found > 0
 
@@ -119,7 +128,7 @@ class Snapshot:
         """The state with particles put at x with v, (n, dim): of whose faces nothing is known."""
         moved = (x != self.x).any(axis=1)
         grips = self.grips and self.grips.but(moved)
-        return replace(self, x=x, v=v, judged=self.judged.without(moved), grips=grips)
+        return replace(self, x=x, v=v, judged=self.judged.moved(moved), grips=grips)
 
     def with_particle(self, new: Particles, tied_to: int | None) -> Snapshot:
         """The state with one particle more, tied to one of the others or to none."""

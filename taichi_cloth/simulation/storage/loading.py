@@ -73,7 +73,8 @@ class Loading(DeviceState):
         if known.all() and len(elements) == len(judged.elements):
             return taken
         new = goes_through(taken.scene, self.solids, taken.x, time, ~known)
-        return replace(taken, judged=Judged(elements, through | new))
+        every = np.ones(len(elements), bool)
+        return replace(taken, judged=Judged(elements, every, through | new))
 
     def topologies(self) -> list[str]:
         """The topologies that the scene can be stored in."""
