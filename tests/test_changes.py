@@ -236,7 +236,9 @@ def test_what_is_noted_beside_a_run_is_written_or_refused_in_a_line(pool, tmp_pa
         trajectory.rewind(None)
     trajectory.save({"seed": np.int64(3), "at": np.array([1.0, 2.0])})
     sim.checkpoint().save(tmp_path / "c.npz", {"seed": np.int64(3)})
-    assert tc.load_trajectory(tmp_path / "t.npz").meta == {"seed": 3, "at": [1.0, 2.0]}
+    saved = tc.load_trajectory(tmp_path / "t.npz")
+    assert saved.meta == {"seed": 3, "at": [1.0, 2.0]}
+    assert repr(saved) == f"<Saved: 1 frame of {len(saved.fixed)} particles>"
     assert sorted(file.name for file in tmp_path.iterdir()) == ["c.npz", "t.npz"]
 
 

@@ -242,6 +242,13 @@ def test_checkpoints_share_what_is_equal(pool):
     sim.advance()
     one = sim.checkpoint()
     assert repr(one) == "<Checkpoint: 'cloth' after 1 frame of symplectic_euler in f64>"
+    much = f"400 particles, {sim.spring_count} springs"
+    run = f"symplectic_euler in f64, {sim.way}; dt {sim.dt:g} in 1 substep"
+    assert repr(sim) == f"<Simulation: 'cloth' after 1 frame, {much}; {run}>"
+    surface = "" if not len(sim.scene.triangles) else f", {len(sim.scene.triangles)} triangles"
+    assert repr(sim.scene) == f"<Scene: 'cloth', {much}{surface}>"
+    assert repr((sim.scene.particles, sim.scene.springs)) == f"(<400 particles>, <{much[15:]}>)"
+    assert repr(sim.scene.stencils) == "<0 stencils>"
     sim.advance()
     two = sim.checkpoint()
     shared = {id(a) for a in one.arrays()} & {id(a) for a in two.arrays()}
@@ -307,6 +314,8 @@ def test_the_command_line_goes_on_bit_for_bit(cli, tmp_path, precision, topology
     cli(*run, "--frames", 9, "--substeps", 2, "--checkpoint", part)
     cli("run", scene, "--headless", "--resume", part, "--frames", 5, "--save", end)
     whole, end = tc.load_trajectory(whole), tc.load_trajectory(end)
+    particles, name = whole.position.shape[1], scenefile.load(scene).name
+    assert repr(whole) == f"<Saved: {name!r}, 14 frames of {particles} particles>"
     np.testing.assert_array_equal(end.frame, whole.frame[9:])
     np.testing.assert_array_equal(end.time, whole.time[9:])
     np.testing.assert_array_equal(end.position, whole.position[9:])

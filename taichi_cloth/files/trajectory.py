@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from taichi_cloth.errors import InputError
+from taichi_cloth.errors import InputError, counted
 from taichi_cloth.files import archives
 from taichi_cloth.files.pending import PendingFile
 
@@ -21,7 +21,7 @@ _LATER = ("start", "fixed")  # which files of earlier versions do not have
 _KINDS = {"frame": "iu", "spring": "iu", "spring_alive": "b", "fixed": "b"}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Saved:
     """A trajectory of k frames that was read back, with the arrays of the file.
 
@@ -41,6 +41,12 @@ class Saved:
     meta: dict[str, Any]
     start: np.ndarray | None = None
     fixed: np.ndarray | None = None
+
+    def __repr__(self) -> str:
+        """What a prompt or a notebook's cell shows of it: not its arrays."""
+        frames, particles = self.position.shape[:2]
+        of = f"{self.meta['scene']!r}, " if "scene" in self.meta else ""
+        return f"<Saved: {of}{counted(frames, 'frame')} of {counted(particles, 'particle')}>"
 
 
 class _World(Protocol):

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from taichi_cloth.errors import InputError
+from taichi_cloth.errors import InputError, counted
 from taichi_cloth.scene.equality import ByValue
 from taichi_cloth.scene.features import Features
 from taichi_cloth.scene.holding import Hold
@@ -238,7 +238,7 @@ class _Motion:
     velocity: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Particles(ByValue, ParticleProperties[np.ndarray], _Motion):
     """State and properties of n particles, one row each; lengths in world units.
 
@@ -261,6 +261,10 @@ class Particles(ByValue, ParticleProperties[np.ndarray], _Motion):
 
     def __len__(self) -> int:
         return len(self.position)
+
+    def __repr__(self) -> str:
+        """What a prompt or a notebook's cell shows of them: not their arrays."""
+        return f"<{counted(len(self), 'particle')}>"
 
     @classmethod
     def build(
@@ -314,7 +318,7 @@ class _Ends:
     between: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Springs(ByValue, SpringProperties[np.ndarray, np.ndarray, np.ndarray], _Ends):
     """Springs between pairs of particles: between (s, 2) int64, the numbers (s,) float64.
 
@@ -327,6 +331,10 @@ class Springs(ByValue, SpringProperties[np.ndarray, np.ndarray, np.ndarray], _En
 
     def __len__(self) -> int:
         return len(self.between)
+
+    def __repr__(self) -> str:
+        """What a prompt or a notebook's cell shows of them: not their arrays."""
+        return f"<{counted(len(self), 'spring')}>"
 
     @classmethod
     def build(
@@ -387,7 +395,7 @@ class Springs(ByValue, SpringProperties[np.ndarray, np.ndarray, np.ndarray], _En
         return _joined(self, other)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Scene(ByValue):
     """A whole scene: world, particles, springs, and what clicks and files default to.
 
@@ -422,6 +430,17 @@ class Scene(ByValue):
         with suppress(TypeError):  # what is no list is refused there, too
             object.__setattr__(self, "obstacles", tuple(self.obstacles))
         object.__setattr__(self, "spring_color", accepted.plain(self.spring_color))
+
+    def __repr__(self) -> str:
+        """What a prompt or a notebook's cell shows of it: how much of what, not its arrays."""
+        numbers = {
+            "spring": len(self.springs),
+            "triangle": len(self.triangles),
+            "stencil": len(self.stencils),
+            "obstacle": len(self.obstacles),
+        }
+        rest = "".join(f", {counted(number, one)}" for one, number in numbers.items() if number)
+        return f"<Scene: {self.name!r}, {counted(len(self.particles), 'particle')}{rest}>"
 
     @property
     def thick(self) -> bool:

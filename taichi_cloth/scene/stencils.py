@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taichi_cloth.errors import InputError
+from taichi_cloth.errors import InputError, counted
 from taichi_cloth.scene.equality import ByValue
 from taichi_cloth.scene.triangles import springs_tying
 from taichi_cloth.settings import accepted
@@ -44,7 +44,7 @@ SMALLEST = 1e-300  # area of a triangle whose inverse is a number
 LEAST_RECOVERED = 0.3
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Stencils(ByValue):
     """m stencils, of any number of particles each.
 
@@ -66,6 +66,10 @@ class Stencils(ByValue):
 
     def __len__(self) -> int:
         return len(self.bending)
+
+    def __repr__(self) -> str:
+        """What a prompt or a notebook's cell shows of them: not their arrays."""
+        return f"<{counted(len(self), 'stencil')}>"
 
     @classmethod
     def none(cls) -> Stencils:

@@ -12,7 +12,7 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import ArrayLike
 
-from taichi_cloth.errors import InputError, SimulationFailure
+from taichi_cloth.errors import InputError, SimulationFailure, counted
 from taichi_cloth.kernels import methods
 from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.kernels.state import WORK
@@ -147,6 +147,14 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         self._work, self._unsettled = np.zeros(len(WORK), np.int64), np.zeros(2, np.int64)
         self.past = Past()
         self.reset()
+
+    def __repr__(self) -> str:
+        """What a prompt shows of it: how far it is, of how much, and how it is run."""
+        much = f"{counted(self.particle_count, 'particle')}, {counted(self.spring_count, 'spring')}"
+        run = f"{self.method} in {self._launcher.device.precision}, {self.way}"
+        step = f"dt {self.dt:g} in {counted(self.substeps, 'substep')}"
+        after = counted(self.frame, "frame")
+        return f"<Simulation: {self.scene.name!r} after {after}, {much}; {run}; {step}>"
 
     def __reduce__(self) -> NoReturn:
         raise TypeError(
