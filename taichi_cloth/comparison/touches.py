@@ -142,7 +142,8 @@ class Contacts:
             if name not in self._things:
                 self._things.append(name)
             codes.append(self._things.index(name) * self._n + particles)
-        return np.unique(np.concatenate(codes).astype(np.int64))
+        ascending: np.ndarray = np.unique(np.concatenate(codes).astype(np.int64))
+        return ascending
 
     def words(self, code: int) -> tuple[int, str]:
         """The particle of a code, and what it touches."""

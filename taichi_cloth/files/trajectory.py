@@ -116,7 +116,7 @@ class Trajectory:
 
     def _forget(self) -> None:
         self._frames: list[_Frame] = []
-        self._springs = np.zeros((0, 2), np.int64)
+        self._springs: np.ndarray = np.zeros((0, 2), np.int64)
         self._shape = (0, 2)
         self._began: _Particles | None = None
 

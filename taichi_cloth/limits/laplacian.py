@@ -33,7 +33,9 @@ class Laplacian:
         self._own = self._edges.diagonal()[self._free]
         self._last: csr_matrix | None = None  # one made anew, whose entries these are:
         self._there = np.zeros(0, bool)  # which particles have an entry on the diagonal
-        self._on_diagonal = self._rows = self._columns = np.zeros(0, np.int64)
+        self._on_diagonal: np.ndarray = np.zeros(0, np.int64)
+        self._rows: np.ndarray = np.zeros(0, np.int64)
+        self._columns: np.ndarray = np.zeros(0, np.int64)
         self._values = np.zeros(0)
 
     def with_diagonal(self, diagonal: np.ndarray) -> csr_matrix:

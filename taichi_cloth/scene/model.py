@@ -516,7 +516,8 @@ class Scene(ByValue):
             sides = springs_of_sides(self.triangles, between)
             as_edge[sides[sides >= 0]] = True
         edges = between[as_edge][:, [0, 1, 1]]
-        found = edges if self.world.dim == 2 else np.concatenate([self.triangles, edges])
+        flat = self.world.dim == 2
+        found: np.ndarray = edges if flat else np.concatenate([self.triangles, edges])
         return found.astype(np.int64)
 
     @functools.cached_property

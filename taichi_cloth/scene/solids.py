@@ -316,7 +316,9 @@ def _is_split(solid: Solid, a: np.ndarray, b: np.ndarray, time: float) -> np.nda
     def look(part: np.ndarray, aside: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         return solid.distances(a + part[:, None] * (b - a) + aside, time)
 
-    low, high, length = np.zeros(len(a)), np.ones(len(a)), np.linalg.norm(b - a, axis=1)
+    low: np.ndarray = np.zeros(len(a))
+    high: np.ndarray = np.ones(len(a))
+    length = np.linalg.norm(b - a, axis=1)
     for _ in range(SECTIONS):  # of where it is deepest: there is one such place
         third = GOLDEN * (high - low)
         left, right = low + third, high - third

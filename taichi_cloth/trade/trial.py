@@ -111,8 +111,8 @@ class Trial:
             failed = f"failed: {sim.describe_convergence()}"
         # As the device has them: in f32 half as large, and the same numbers.
         real = np.float32 if runtime.current_device().precision == "f32" else np.float64
-        x, v = x[:done].astype(real), v[:done].astype(real)
-        np.savez(file, x=x, v=v, alive=alive[:done], contacts=contacts[:done])
+        kept_x, kept_v = x[:done].astype(real), v[:done].astype(real)
+        np.savez(file, x=kept_x, v=kept_v, alive=alive[:done], contacts=contacts[:done])
         self._ran.add(_run_of(dt, substeps, solver))
         work = sim.work()
         return {

@@ -109,7 +109,7 @@ def fixed(module: bytes, held: Sequence[bool | None]) -> bytes:
                 parts.append(np.array(new, "<u4"))
     if branch != len(held):
         raise ValueError(f"{branch} conditional branches instead of {len(held)}")
-    return np.concatenate(parts).tobytes()
+    return bytes(np.concatenate(parts))
 
 
 def shared(module: bytes, location: int) -> bytes:
@@ -128,7 +128,7 @@ def shared(module: bytes, location: int) -> bytes:
             found = True
     if not found:
         raise ValueError(f"no input at location {location}")
-    return np.concatenate(parts).tobytes()
+    return bytes(np.concatenate(parts))
 
 
 def _read(module: bytes) -> tuple[np.ndarray, list[tuple[int, np.ndarray]]]:

@@ -87,7 +87,8 @@ def rectangles(corner: np.ndarray, color: np.ndarray) -> tuple[np.ndarray, np.nd
     thin = (size.min(axis=1) == 1) & (size.max(axis=1) <= THIN)
     rows, columns = thin & (size[:, 1] == 1), thin & (size[:, 1] > 1)
     x0, y0, x1, y1 = corner[~thin].T
-    points = [np.stack([x0, y0, x1, y0, x1, y1, x0, y1], axis=1).reshape(-1, 2)]
+    corners = np.stack([x0, y0, x1, y0, x1, y1, x0, y1], axis=1)
+    points: list[np.ndarray] = [corners.reshape(-1, 2)]
     for chosen, along in ((rows, 0), (columns, 1)):
         begin, end = corner[chosen][:, along], corner[chosen][:, along + 2]
         side = corner[chosen][:, 1 - along]

@@ -139,7 +139,7 @@ def swing(module: Method, frequency: float, rate: float = RATE) -> Swing:
         assert module.amplification  # one of the two, by the contract
         eigenvalues = np.linalg.eigvals(module.amplification(h, omega**2, 0.0))
         factor = complex(max(eigenvalues, key=lambda z: (round(abs(z), 12), z.imag)))
-    return Swing(abs(factor) ** rate, abs(np.angle(factor)) / (h * omega) - 1)
+    return Swing(abs(factor) ** rate, float(abs(np.angle(factor))) / (h * omega) - 1)
 
 
 def measured_swings(method: str, frequencies: Sequence[float], rate: int = RATE) -> list[Swing]:

@@ -150,7 +150,7 @@ class _File:
         if kind not in (TRIANGLES, STRIP, FAN):
             return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
         vertices = self.accessor(primitive["attributes"]["POSITION"], "VEC3").astype(np.float64)
-        corners = np.arange(len(vertices))
+        corners: np.ndarray = np.arange(len(vertices))
         if "indices" in primitive:
             corners = self.accessor(primitive["indices"], "SCALAR")[:, 0].astype(np.int64)
         if (corners >= len(vertices)).any():

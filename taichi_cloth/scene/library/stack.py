@@ -32,7 +32,7 @@ def scene(
     """Five sheets fall on each other and onto the floor; SI units."""
     spacing, middle = WIDTH / (side - 1), np.array([0.5, 0.0, 0.0])
     particles, springs, stencils = Particles.none(3), Springs.none(), Stencils.none()
-    triangles = [np.zeros((0, 3), np.int64)]
+    triangles: list[np.ndarray] = [np.zeros((0, 3), np.int64)]
     for number in range(sheets):
         across, down = _directions(number)
         height = APART * (1 + number)

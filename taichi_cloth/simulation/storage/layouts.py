@@ -171,7 +171,7 @@ def spring_colours(springs: Springs, grids: Layout | None, particle_count: int) 
     grids: the layout on grids, if there is one, with packs of any width.
     """
     colour = np.zeros(len(springs), np.int64)
-    linked = np.zeros(len(springs), bool)
+    linked: np.ndarray = np.zeros(len(springs), bool)
     kinds = 0
     if grids is not None:
         linked, kinds = grids.kind >= 0, len(grids.links)
@@ -207,7 +207,7 @@ def particle_colours(
     grids: the layout on grids, if there is one, with packs of any width.
     """
     linked = np.zeros(len(springs), bool) if grids is None else grids.kind >= 0
-    colour = np.full(particle_count, -1, np.int64)
+    colour: np.ndarray = np.full(particle_count, -1, np.int64)
     shared = np.zeros(particle_count, bool)
     shared[springs.between[~linked]] = True
     tied = springs.between

@@ -54,7 +54,7 @@ def find(
 def pairs(stencils: Stencils) -> np.ndarray:
     """All pairs of particles that are in one stencil, (q, 2), in order; the smaller is first."""
     count = int(stencils.particle.max(initial=0)) + 1
-    keys = np.zeros(0, np.int64)
+    keys: np.ndarray = np.zeros(0, np.int64)
     for _, at in stencils.by_size():
         members = np.sort(stencils.particle[at], axis=1)
         # The up to three stencils of a triangle, one after the other, have the same pairs.

@@ -32,7 +32,8 @@ class SpringFilling(Filling):
             self._packed_rows(layout.rows, half, springs, marks)
             return
         half = adjacency.half_springs(ends, slots)
-        near, row = np.arange(slots), half.row
+        row = half.row
+        near: np.ndarray = np.arange(slots)
         if self.spec.links:  # only those that have any
             near = np.flatnonzero(np.diff(half.row) + self._parts_at(slots))
             row = np.append(half.row[near], len(half.far))

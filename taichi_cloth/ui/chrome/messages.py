@@ -100,9 +100,10 @@ def _legend(meanings: Meanings, room: Rect, height: int) -> Panel:
     """One row of them: words, each beside its colour; in smaller letters where they are many."""
     gap, box = round(0.6 * height), round(0.7 * height)
     widths = [box + gap // 2 + round(text.length(words, height)) for words, _ in meanings]
-    if sum(widths) + gap * (len(widths) + 1) > room.width and height > SMALLEST:
+    across = sum(widths) + gap * (len(widths) + 1)
+    if across > room.width and height > SMALLEST:
         return _legend(meanings, room, height - 1)
-    pixels = np.empty((round(1.8 * height), sum(widths) + gap * (len(widths) + 1), 3), np.uint8)
+    pixels: np.ndarray = np.empty((round(1.8 * height), across, 3), np.uint8)
     pixels[:] = style.PAPER
     x, top = gap, (len(pixels) - box) // 2
     for (words, color), width in zip(meanings, widths, strict=True):
