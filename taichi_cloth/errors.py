@@ -90,6 +90,14 @@ def one_line(error: BaseException) -> str:
     return clipped(" ".join(f"{type(error).__name__}: {error}".split()), 300)
 
 
+def milliseconds(seconds: float, digits: int = 3) -> str:
+    """A time in milliseconds, of so many digits, or as many as it has before its point: "4.2",
+    "1861".
+    """
+    ms = 1e3 * seconds
+    return f"{ms:.0f}" if abs(ms) >= 10**digits else f"{ms:.{digits}g}"
+
+
 def counted(count: int, thing: str) -> str:
     """'1 spring', '2 springs'."""
     return f"{count} {thing}{'s' * (count != 1)}"

@@ -15,7 +15,7 @@ from taichi_cloth.limits.eigenmodes import stable_step
 from taichi_cloth.scene import library
 from taichi_cloth.scene.library import build
 from taichi_cloth.simulation import live
-from taichi_cloth.simulation.running_costs import WARM, RunningCosts
+from taichi_cloth.simulation.running_costs import WARM, FrameCost, RunningCosts
 from taichi_cloth.simulation.setting_costs import SettingCosts
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.ui import app, interaction
@@ -283,6 +283,7 @@ def test_what_a_setting_costs_is_measured_or_predicted_or_said_to_be_unknown():
     for _ in range(9):
         costs.note(sim, 2e-3)
     assert costs.now(sim).words() == "2 ms a frame, measured"
+    assert FrameCost(1.8612, "measured").words() == "1861 ms a frame, measured"
     assert costs.of(sim, by_name["substeps"], 4).words() == "8 ms a frame, predicted"
     assert costs.of(sim, by_name["gravity.x"], 1.0).how == "measured"
     assert costs.of(sim, by_name["method"], "rk4").how == "predicted"

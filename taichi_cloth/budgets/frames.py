@@ -16,6 +16,7 @@ import numpy as np
 
 from taichi_cloth.budgets.choice import RUNGS, Choice, Limits, steps_in_words
 from taichi_cloth.console import percent
+from taichi_cloth.errors import milliseconds
 
 LATELY = 120  # frames that are looked at
 WARM = 3  # frames after a change, which compile or fill caches, and say nothing
@@ -127,7 +128,7 @@ class FrameTimes:
         """Whether frames with so many substeps are late because they take long to simulate."""
         if len(self._frames) < FEW or self.late(substeps) <= 1 - KEPT:
             return False
-        usual = self._usual(substeps) > 1e3 * USUALLY * self.budget
+        usual = self._usual(substeps) > USUALLY * self.budget
         return usual and self.usual_rest < self.budget / 2
 
     @property
@@ -190,7 +191,7 @@ class FrameTimes:
         chosen, measured = now, self.slope[1]
         for n in rungs:
             far = not measured and n > STEEPEST * now
-            usual = self._usual(n) <= 1e3 * USUALLY * self.budget
+            usual = self._usual(n) <= USUALLY * self.budget
             fits = usual and self.in_time(n, least, UP) >= IN_TIME
             if self._barred(n) or far or not fits:
                 break
@@ -200,11 +201,11 @@ class FrameTimes:
     def said(self, chosen: int, limits: Limits) -> Choice:
         """A choice of so many substeps, and what there is to say of it."""
         steps = steps_in_words(chosen)
-        of = f"of {1e3 * self.budget:.3g} ms"
+        of = f"of {milliseconds(self.budget)} ms"
         if len(self._frames) < FEW:
             return Choice(chosen, f"{steps}: nothing measured yet", "measuring")
-        short, late = f"{self._usual(chosen):.2g} {of}", self.late(chosen)
-        why = f"{steps}: {self._usual(chosen):.2g} ms {of}"
+        usual, late = milliseconds(self._usual(chosen), 2), self.late(chosen)
+        short, why = f"{usual} {of}", f"{steps}: {usual} ms {of}"
         if late > 1 - KEPT:
             short += f", {percent(late, 2)} late"
             why += f", {percent(late, 2)} late"
@@ -218,7 +219,7 @@ class FrameTimes:
         if finer is None:
             why += f"; no more: {limits.why_most}"
         else:
-            why += f"; next finer, {finer}, would take {self._usual(finer):.2g}"
+            why += f"; next finer, {finer}, would take {milliseconds(self._usual(finer), 2)}"
             late = self.late(finer, UP)
             if self._barred(finer):
                 why += ", and was late a while ago"
@@ -228,15 +229,15 @@ class FrameTimes:
 
     def _in_the_way(self, least: int) -> str:
         """Why there are not fewer substeps, or what else takes the time."""
-        if self._usual(least) <= 1e3 * USUALLY * self.budget:
+        if self._usual(least) <= USUALLY * self.budget:
             return "other programs hold these up"
         if self.usual_rest > self.budget / 2:
-            return f"drawing takes {1e3 * self.usual_rest:.2g}"
+            return f"drawing takes {milliseconds(self.usual_rest, 2)}"
         return "fewer are not stable" if least > 1 else "there are no fewer"
 
     def _usual(self, substeps: int) -> float:
-        """What half of the frames would take with so many substeps, in milliseconds."""
-        return 1e3 * float(np.median(self.would_take(substeps)))
+        """What half of the frames would take at most with so many substeps, seconds."""
+        return float(np.median(self.would_take(substeps)))
 
     def _barred(self, n: int) -> bool:
         """Whether so many substeps were too much a short while ago."""

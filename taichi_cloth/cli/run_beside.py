@@ -12,7 +12,7 @@ import numpy as np
 from taichi_cloth.beside import given as besides
 from taichi_cloth.beside.given import Given
 from taichi_cloth.console import percent
-from taichi_cloth.errors import InputError, RunFailure, counted
+from taichi_cloth.errors import InputError, RunFailure, counted, milliseconds
 from taichi_cloth.files.pending import is_device
 from taichi_cloth.files.recordings import Recordings
 from taichi_cloth.files.trajectory import Recordable
@@ -153,7 +153,9 @@ class Beside:
         if distance.trajectory_max == 0.0:
             said = ["no particle was ever apart from itself"]
         if frames > 1:
-            said.insert(0, f"beside it {1e3 * self.twin.later[0] / (frames - 1):.3g} ms a frame")
+            said.insert(
+                0, f"beside it {milliseconds(self.twin.later[0] / (frames - 1))} ms a frame"
+            )
         for event, things in ((watch.first_break, "breaks"), (watch.first_touch, "touches")):
             if event is not None:
                 more = f"; {event.others} more differ in that frame" * bool(event.others)

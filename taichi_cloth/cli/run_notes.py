@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy
 
 from taichi_cloth import runtime
-from taichi_cloth.errors import InputError, RunFailure, counted, printable
+from taichi_cloth.errors import InputError, RunFailure, counted, milliseconds, printable
 from taichi_cloth.files.recordings import Recordings
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.source import SceneSource
@@ -143,7 +143,7 @@ def last_line(sim: Simulation, summary: Summary, seconds: float, waited: float) 
         return done
     a_frame = (summary.simulate - waited) / (frames - 1)
     return (
-        f"{done}: {1e3 * a_frame:.3g} ms a frame to simulate after the first, "
+        f"{done}: {milliseconds(a_frame)} ms a frame to simulate after the first, "
         f"{sim.substeps / a_frame:.4g} steps/s, {sim.way}"
     )
 
@@ -216,10 +216,10 @@ def check_converged(sim: Simulation, options: RunOptions) -> None:
 def note_held_up(sim: Simulation) -> None:
     """Say on standard error that several threads were asked for, and only waited."""
     if sim.held_up:
-        alone, together = (1e3 * seconds for seconds in sim.held_up)
+        alone, together = (milliseconds(seconds) for seconds in sim.held_up)
         say(
-            f"note: another program wants the cores: a frame took {together:.3g} ms on all "
-            f"threads, where one would take about {alone:.3g} ms; --execution parallel keeps "
+            f"note: another program wants the cores: a frame took {together} ms on all "
+            f"threads, where one would take about {alone} ms; --execution parallel keeps "
             "them, without it the run gives way"
         )
 

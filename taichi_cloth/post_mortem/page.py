@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from taichi_cloth.errors import milliseconds
 from taichi_cloth.files.pending import PendingFile
 from taichi_cloth.kernels import methods
 from taichi_cloth.post_mortem import graphs
@@ -95,7 +96,7 @@ def _remedy(found: PostMortem) -> Iterator[str]:
         yield '<div class="remedy"><strong>The cheapest setting found that survives: '
         yield f"{_text(found.setting)}</strong>"
         yield f'<br><span class="proof">{_text(found.search.says)}; '
-        yield f"{1e3 * best.seconds:.3g} ms a frame</span></div>"
+        yield f"{milliseconds(best.seconds)} ms a frame</span></div>"
         yield f"<pre>{_text(found.command)}</pre>"
         if found.search.without:
             yield "<p>What it is without is to be taken out of the log or the script, too.</p>"
@@ -108,7 +109,7 @@ def _remedy(found: PostMortem) -> Iterator[str]:
 def _of_trial(trial: Trial, found: PostMortem) -> list[str]:
     given = " ".join(flags(trial.settings, found.trace.settings)) or "as it was"
     ended = "survived" if trial.survived else trial.says
-    return [given, f"{trial.frames} of {trial.wanted}", f"{1e3 * trial.seconds:.3g}", ended]
+    return [given, f"{trial.frames} of {trial.wanted}", milliseconds(trial.seconds), ended]
 
 
 def _of_run(trace: Trace) -> list[list[str]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from taichi_cloth.errors import milliseconds
 from taichi_cloth.kernels import methods
 from taichi_cloth.runtime import current_device
 from taichi_cloth.simulation.prediction import describe_size, predict
@@ -31,7 +32,7 @@ class FrameCost:
         """Such as "0.42 ms a frame, measured"."""
         if self.seconds is None:
             return self.how
-        return f"{1e3 * self.seconds:.3g} ms a frame, {self.how}"
+        return f"{milliseconds(self.seconds)} ms a frame, {self.how}"
 
 
 class RunningCosts:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from taichi_cloth.errors import milliseconds
 from taichi_cloth.ui import style, text
 from taichi_cloth.ui.chrome.beside import Second
 from taichi_cloth.ui.chrome.layout import Rect
@@ -74,8 +75,8 @@ class Pair:
         self._until_said -= 1
         if self._windowed and self._until_said <= 0:
             self._until_said = RENEWED
-            first, second = (1e3 * float(cost) for cost in np.median(self._costs, axis=0))
-            self._said = f"{first:.2g} ms a frame", f"{second:.2g} ms a frame"
+            first, second = (milliseconds(cost, 2) for cost in np.median(self._costs, axis=0))
+            self._said = f"{first} ms a frame", f"{second} ms a frame"
 
     def leave(self) -> None:
         """The frame that it is at is left for the next."""
