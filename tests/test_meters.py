@@ -1,5 +1,6 @@
 """Meters and strain colours as they are drawn: legible at every size, cheap, alike in every run."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -115,6 +116,9 @@ def test_colours_go_from_pushed_to_the_limit(source):
     length = lengths(x, springs.between)
     assert strains(length, springs) == pytest.approx([0.0, -0.5, 0.5])
     assert borne(length, springs) == pytest.approx([0.0, -0.5, 5.0])
+    # What breaks in tension alone is compared with a cloth's strain where it is pushed.
+    of_cloth = replace(springs, break_in=np.full(3, "tension"))
+    assert borne(length, of_cloth) == pytest.approx([0.0, -5.0, 5.0])
     calm, pushed, limit = strained.colors(np.array([0.0, -1.0, 7.0]))
     assert tuple(calm) == strained.CALM and tuple(pushed) == strained.PUSHED
     assert tuple(limit) == strained.LIMIT
@@ -144,13 +148,20 @@ def test_what_is_stretched_from_the_start_is_full_at_that():
 
 
 def test_the_spring_that_is_named_says_what_itself_bears(device, pool):
-    """Where only the first of two can break: first it is stretched most, then the other one is."""
+    """Where only the first of two can break: first it is stretched most, then the other one is.
+    Nor can it by a push, where it breaks in tension alone.
+    """
     world = World(size=(100.0, 100.0), gravity=(0.0, 0.0))
-    for stretched, said in (([1.5, 1.2], "20 % of break force"), ([1.2, 1.5], "limit 10 %")):
+    for stretched, breaks_in, value, said in (
+        ([1.5, 1.2], "both", "+50 %", "20 % of break force"),
+        ([1.2, 1.5], "both", "+50 %", "limit 10 %"),
+        ([0.5, 1.2], "both", "-50 %", "60 % of break force"),
+        ([0.5, 1.2], "tension", "-50 %", "limit 10 %"),
+    ):
         x = np.array([[50.0, 50.0], [51.0, 50.0], [52.0, 50.0]])
         springs = Springs.build(
             [(0, 1), (1, 2)], x, stiffness=2.0, rest_length=1 / np.array(stretched),
-            break_force=[10 / 3, np.inf],
+            break_force=[10 / 3, np.inf], break_in=breaks_in,
         )  # fmt: skip
         scene = Scene("mixed", world, Particles.build(x), springs)
         sim = pool(scene)
@@ -158,7 +169,7 @@ def test_the_spring_that_is_named_says_what_itself_bears(device, pool):
         gauges._full = CLOTHS  # not what the scene begins with
         gauges.after_frame(0.0)
         meter = instruments.strain(Source(sim, gauges, None, 0.0))
-        assert meter.value == "+50 %" and meter.state == style.BAD
+        assert meter.value == value and meter.state == style.BAD
         assert [words for words, _ in meter.details][1] == said
         colors = strained.Strained(sim)
         colors._allowed = lambda *_: CLOTHS

@@ -42,9 +42,9 @@ class State:
     """What was read of a state. booked: its energy, and where that came from and went.
 
     momentum: (dim,). strain: the largest in magnitude, pulled positive, of the spring of number
-    `spring` between the particles `ends` (-1: there is none). breaks: whether that one can break.
-    bears: the part that it bears of what it can (`strain.borne`), by `full`, the strain that counts
-    as full; borne: the largest part that any bears. broken: springs that are.
+    `spring` between the particles `ends` (-1: there is none). breaks: whether that one may break
+    of it. bears: the part that it bears of what it can (`strain.borne`), by `full`, the strain that
+    counts as full; borne: the largest part that any bears. broken: springs that are.
     """
 
     booked: Booked
@@ -272,7 +272,7 @@ def _state(moment: Moment, booked: Booked, full: float) -> State:
         at = int(np.abs(strained).argmax())
         most, spring = float(strained[at]), int(network.number[at])
         ends = int(network.springs.between[at, 0]), int(network.springs.between[at, 1])
-        breaks = bool(np.isfinite(network.springs.break_force[at]))
+        breaks = bool(strain.may_break(length, network.springs)[at])
         parts = np.abs(strain.borne(length, network.springs, full))
         bears, borne = float(parts[at]), float(parts.max())
     return State(booked, momentum, most, spring, ends, breaks, bears, borne, full, moment.broken)

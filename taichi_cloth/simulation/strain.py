@@ -37,12 +37,22 @@ def strains(length: np.ndarray, springs: Springs) -> np.ndarray:
     return part
 
 
+def may_break(length: np.ndarray, springs: Springs) -> np.ndarray:
+    """Which springs of these lengths would break of more of the same, (s,) bool: what breaks in
+    tension alone bears any push.
+    """
+    breaks: np.ndarray = np.isfinite(springs.break_force)
+    if breaks.any():
+        breaks &= (springs.break_in != "tension") | (length >= springs.rest_length)
+    return breaks
+
+
 def borne(length: np.ndarray, springs: Springs, full: float = CLOTHS) -> np.ndarray:
     """How much springs bear of what they can, (s,): 1 where a pull is at its limit, -1 a push.
 
-    Where springs break that is their force in break forces, else their strain in `full`.
+    Where springs break of it that is their force in break forces, else their strain in `full`.
     """
-    breaks = np.isfinite(springs.break_force)
+    breaks = may_break(length, springs)
     if not breaks.any():
         return strains(length, springs) / full
     pull = springs.stiffness * (length - springs.rest_length) / springs.break_force
