@@ -21,6 +21,7 @@ from taichi_cloth.ui import app, picking
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.camera_moves import CameraMoves
 from taichi_cloth.ui.controls import Controls
+from taichi_cloth.ui.depiction import Depiction
 from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.tools import throw
 from taichi_cloth.ui.tools.contract import Hand
@@ -532,6 +533,17 @@ def test_a_ball_is_larger_than_what_it_is_thrown_at(name):
     tool.press(hand, memory, Event("press", pos=(300.0, 200.0), button="left"))
     (ball,) = tool.release(hand, memory, Event("release", pos=(310.0, 200.0), button="left"))
     assert ball.values["radius"] >= 1.3 * scene.particles.radius.max()
+
+
+def test_a_ball_is_seen_as_large_as_it_is_however_fine_the_mesh():
+    """Knots that are larger than their mesh would hide it, and are drawn smaller."""
+    scene = library.build("cloth", columns=9, rows=7, spacing=2.0)
+    sim = Simulation(scene.with_world(tools=True), topology="graph", execution="serial")
+    depiction = Depiction(sim)
+    knots = depiction.picture().radius
+    assert knots == pytest.approx(np.full(63, 0.6)) and (scene.particles.radius == 5.0).all()
+    sim.spawn((200.0, 100.0), radius=16.0, mass=50.0)
+    assert depiction.picture().radius.tolist() == [*knots, 16.0]
 
 
 def test_a_ball_is_thrown_along_the_line_of_sight_or_refused():

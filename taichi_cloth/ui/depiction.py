@@ -83,7 +83,7 @@ class Depiction:
             normals = sim.drawn_normals() if part >= 1 else between.normals(sim, part)
         made = Picture(
             position=position,
-            radius=self._radius(stored.radius, self._largest_disc),
+            radius=self._radius(stored.radius, self._largest_disc, len(sim.scene.particles)),
             color=color,
             segments=segments,
             spring_color=spring_color,
@@ -108,9 +108,12 @@ class Depiction:
         return found
 
 
-def _drawn_radius(radius: np.ndarray, largest: float) -> np.ndarray:
-    """Radii to draw, (n,) float32."""
-    drawn: np.ndarray = np.minimum(radius, largest).astype(np.float32)
+def _drawn_radius(radius: np.ndarray, largest: float, count: int) -> np.ndarray:
+    """Radii to draw, (n,) float32: those of the first `count`, which a scene came with, at most
+    `largest`; balls that came since are seen as large as they are.
+    """
+    drawn: np.ndarray = radius.astype(np.float32)
+    drawn[:count] = np.minimum(drawn[:count], np.float32(largest))
     return drawn
 
 
