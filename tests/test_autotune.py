@@ -258,8 +258,9 @@ def test_a_run_whose_threads_only_wait_goes_on_with_one(topology, pool, monkeypa
     sim.advance()
     assert sim.execution == "parallel"  # the first frame compiles
     sim.advance(15)
+    assert sim.changes_over  # which a window says before it waits
     sim.advance(14)
-    assert sim.execution == "serial" and sim.held_up is None
+    assert sim.execution == "serial" and sim.held_up is None and not sim.changes_over
     now = sim.positions(), sim.velocities(), sim.springs_alive()
     assert_same(now, motion(pool(scene)))
 

@@ -298,6 +298,20 @@ def test_what_a_setting_costs_is_measured_or_predicted_or_said_to_be_unknown():
     assert costs.of(sim, by_name["substeps"], 4).words() == "5 ms a frame, measured"
 
 
+def test_what_frames_took_on_all_threads_says_nothing_of_them_on_one(pool, monkeypatch):
+    """Where a run changes over, the first of which compiles, they are measured anew."""
+    sim, costs = pool(build("oscillator")), RunningCosts()
+    monkeypatch.setattr(sim, "execution", "parallel")
+    for _ in range(2 * WARM):
+        costs.note(sim, 0.5)
+    monkeypatch.setattr(sim, "execution", "serial")
+    costs.note(sim, 15.0)
+    assert costs.now(sim).words() == "not measured"
+    for _ in range(WARM):
+        costs.note(sim, 0.1)
+    assert costs.now(sim).words() == "100 ms a frame, measured"
+
+
 def test_frames_that_are_measured_first_count_alike(pool):
     """A mean of all until frames are many; and none of those that warm up counts."""
     sim, costs = pool(build("oscillator")), RunningCosts()

@@ -55,7 +55,7 @@ class FakeSimulation:
 
     method, dt, substeps, execution = "symplectic_euler", 1.0, 1, "serial"
     topology, lanes, wide, way = "graph", 1, False, "serial graph"
-    held_up, follows, aside = None, False, ""
+    held_up, changes_over, follows, aside = None, False, False, ""
     solver = {}
 
     def __init__(self, scene):
@@ -676,6 +676,12 @@ def test_the_meter_says_how_late_it_is():
     assert meter.behind == pytest.approx(3 - 30 / 60)
     said = " ".join(word.text for word in hud.rates(meter))
     assert "behind real time (0.17x)" in said and "50.00 ms" in said
+    meter.compiles()
+    meter.frame(20.0, 0.04)
+    assert meter.behind == pytest.approx(3 - 30 / 60) and meter.simulate == 0.0
+    now[0] += 0.1
+    meter.frame(0.06, 0.04)
+    assert meter.behind == pytest.approx(3.1 - 31 / 60) and meter.simulate == 0.06
     for rate, words in ((0.4, "0.4"), (1.0, "1.0"), (9.96, "10"), (59.7, "60")):
         assert hud.rates(paced_at(rate))[0].text == f"{words} frames/s"
 
@@ -795,6 +801,28 @@ def test_the_status_says_that_threads_which_were_asked_for_only_wait(monkeypatch
     app.run(sim, view, device="test")
     waits = ["threads wait" in words(picture) for picture in view.pictures[1:]]
     assert waits == [False, True, True, True, True, False, False, False]
+
+
+def test_a_window_says_that_it_waits_where_a_run_changes_over_to_one_thread(monkeypatch):
+    """Before it stands still; how long that took is in no rate."""
+    now = [0.0]
+    monkeypatch.setattr(app.time, "perf_counter", lambda: now[0])
+    monkeypatch.setattr(app.time, "sleep", lambda _: None)
+    sim = simulation("blow")
+    advance = sim.advance
+
+    def changing_over(frames=1):
+        now[0] += 20.0 if sim.changes_over else 0.1
+        advance(frames)
+        sim.changes_over = sim.frame == 4
+
+    sim.advance = changing_over
+    view = Script(*[[] for _ in range(12)], size=(1400, 800))
+    app.run(sim, view, device="test")
+    said = [words(picture) for picture in view.pictures]
+    waits = ["compiling, the window waits" in picture for picture in said]
+    assert waits == [picture == 5 for picture in range(len(said))]
+    assert "simulate 20000" not in "".join(said) and "simulate 100.00 ms" in said[-2]
 
 
 def test_r_goes_on_with_the_scene_as_its_edited_file_says_by_now():

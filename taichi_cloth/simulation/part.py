@@ -53,6 +53,7 @@ class Part(ABC):
     execution: str
     topology: str
     held_up: tuple[float, float] | None
+    changes_over: bool
     aside: str
     listeners: tuple[Listener, ...] = ()
     past: Past | None

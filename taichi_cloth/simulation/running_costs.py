@@ -41,12 +41,17 @@ class RunningCosts:
     def __init__(self) -> None:
         self._mean: dict[tuple[Any, ...], float] = {}
         self._frames: dict[tuple[Any, ...], int] = {}
+        self._paths: dict[tuple[Any, ...], str] = {}  # serial or parallel, of what is measured
         self._last: tuple[tuple[Any, ...], int] = (), 0  # the last frame's way, and how many had it
         self._sized: tuple[Scene, str] | None = None  # it lasts: to describe it takes up to 0.3 ms
 
     def note(self, sim: Simulation, seconds: float) -> None:
         """A frame took so many seconds to simulate."""
         way = self._way(sim)
+        if self._paths.get(way) != sim.execution:  # what it took on other threads says nothing
+            self._mean.pop(way, None)
+            self._frames.pop(way, None)
+            self._paths[way], self._last = sim.execution, ((), 0)
         lately = self._last[1] + 1 if way == self._last[0] else 1
         self._last = way, lately
         if lately > WARM:

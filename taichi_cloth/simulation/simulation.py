@@ -82,6 +82,8 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
     aside: what goes on beside the run, in words, for whoever shows its state; "": nothing.
     held_up: seconds a frame on one thread, as estimated, and on all of them, where the execution
     "parallel" was asked for and threads only wait, because other programs want the cores.
+    changes_over: whether the next frame is the first on one thread, as threads only waited, which
+    may take long: its kernels may have to be compiled.
     storage: the state on the device, to look at. speed_limit: above it a particle runs away.
     It is neither copied nor pickled (TypeError): its scene and its checkpoints are. Taichi keeps
     what it compiled for each; for many runs in a row make one, and have it `load_scene`.
@@ -139,7 +141,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         )
         self.topology = self.execution = self._preferred = ""  # until the first `reset` has chosen
         self._watch = None
-        self.held_up, self.aside = None, ""
+        self.held_up, self.changes_over, self.aside = None, False, ""
         self._unprepared = None  # until a window asks
         self._note_settings()
         self.frame, self._counted, self._first = 0, (0, 0), 0
@@ -262,6 +264,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         """Advance frames that share a launch, and return how many passed the watchdog."""
         begin, of_threads = time.perf_counter(), time.process_time()
         passed = self._launch_frames(frames)
+        self.changes_over = False
         if self._watch:
             seconds = time.perf_counter() - begin
             wanted = seconds * self.storage.specialization.threads
@@ -292,7 +295,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         if watch.choice.forced:
             self.held_up = watch.alone * self.substeps, watch.together * self.substeps
         else:
-            self.execution, self._watch = "serial", None
+            self.execution, self._watch, self.changes_over = "serial", None, True
             self.storage.set_path(self.execution)
 
     def _time_launch(self) -> float:

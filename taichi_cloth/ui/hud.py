@@ -71,6 +71,11 @@ class Meter:
         self._last = self._late_since = None
         self._frames.clear()
 
+    def compiles(self) -> None:
+        """The next frame compiles: nothing is late, and what it takes says nothing of the next."""
+        self.interrupt()
+        self._skip = True
+
     def restart(self) -> None:
         """Forget what was late (the scene starts anew)."""
         self.interrupt()

@@ -186,7 +186,9 @@ class Loop:
         if request.on_frame is not None and request.on_frame(self.sim) is False:
             state.quit = True
             return
-        if self._controls.waits and self.view.visible:
+        others = [request.beside.sim] if request.beside else []
+        changes = any(sim.changes_over for sim in [self.sim, *others])
+        if self.view.visible and (self._controls.waits or changes):
             self._say_that_it_compiles()
         if self._travel:
             # Events of a log that is being replayed belong to the frames that there were.
@@ -235,7 +237,6 @@ class Loop:
         """Have what a budget chose take effect; say so before that compiles."""
         if self.view.visible and name == METHOD:
             self._say_that_it_compiles()
-            self._shown.meter.interrupt()
         self._controls.set(name, value)
 
     def _end_replay(self) -> None:
@@ -365,6 +366,7 @@ class Loop:
         self._shown.hurry()
         self._show_now()
         self.state.compiling = False
+        self._shown.meter.compiles()
 
     def _note(self, event: LogEvent) -> None:
         if self._travel:
