@@ -37,7 +37,8 @@ class Hands:
         self.noted = []
         self.controls = Controls(sim, None, (800, 600), note=self.noted.append)
         scenes = scenes or Scenes()
-        self.panel = SettingsPanel(sim, self.controls, RunningCosts(), scenes, budget)
+        told = lambda: self.controls.notice  # noqa: E731
+        self.panel = SettingsPanel(sim, self.controls, RunningCosts(), scenes, told, budget)
         self.look()
 
     def look(self):
@@ -380,6 +381,29 @@ def test_what_a_window_has_no_room_for_is_said_where_its_key_is_pressed(sim):
         window = Pressed(sim.scene.world, ([key], []))
         app.run(sim, window, quiet=True, device="test")
         assert not any("no room" in said for said in window.said)
+
+
+def test_what_was_told_leaves_the_settings_foot_after_a_while(sim, monkeypatch):
+    """Later than the row of the status, which is read sooner; what is told anew is there anew."""
+    now = [0.0]
+    monkeypatch.setattr(sim, "_watch", None)  # whose launches would take no time
+    monkeypatch.setattr(app.time, "perf_counter", lambda: now[0])
+    monkeypatch.setattr(app.time, "sleep", lambda _: None)
+
+    class Seen(Pressed):
+        def draw(self, picture):
+            now[0] += 1.0
+            panels = [panel.words for panel in picture.overlay]
+            foot = next((words for words in panels if "cost now" in words), "").splitlines()[-1:]
+            self.said.append(["cut springs" in "".join(some) for some in (foot, panels)])
+
+    window = Seen(sim.scene.world, (["c"], *[[]] * 4, ["o"], *[[]] * 9, ["c"], ["c"], []))
+    window.size = (900, 600)
+    app.run(sim, window, quiet=True, device="test")
+    in_foot, anywhere = (
+        "".join("-x"[told] for told in seen) for seen in zip(*window.said, strict=True)
+    )
+    assert (in_foot, anywhere) == ("-------xxxxx------x", "--xxxx-xxxxx------x")
 
 
 def test_escape_closes_what_was_opened_last_and_quits_where_nothing_is_open(sim):

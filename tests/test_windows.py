@@ -764,6 +764,7 @@ def test_the_status_is_that_of_the_frame_drawn(tmp_path):
     view = Script([], [press(key="h")], *[[] for _ in range(6)], size=(1400, 800))
     app.run(simulation("blow"), view, device="test")
     assert frames_said(view.pictures[2:]) == [2, 3, 4, 5, 6, 7]
+    assert ["h none" in words(view.pictures[turn]) for turn in (0, 2)] == [False, True]
     runs = []
     for name in ("a", "b"):
         view = Script([], [])

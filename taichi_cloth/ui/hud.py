@@ -190,6 +190,7 @@ def status_rows(
     notice: str | None = None,
     budget: Word | None = None,
     found: Word | None = None,
+    whole: bool = False,
 ) -> tuple[Row, ...]:
     """The status of the frame that `sim` is at: counts, time; then settings and backend.
 
@@ -199,6 +200,7 @@ def status_rows(
     before all others where room is scarce.
     budget: what is held.
     found: what differs first in a run beside it.
+    whole: whether a window shows all rows, so that `h` shows none.
     """
     alive = len(sim.drawn_springs())
     broken = sim.spring_count - alive
@@ -220,7 +222,10 @@ def status_rows(
     usual = (*title, *hand, *more, *counts, *aside)
     if notice:
         usual = (replace(state, rank=state.rank + 1), Word(notice, style.KEY_INK))
-    hints = (Word("h more", style.MUTED, 9), Word("tab keys", style.MUTED, 9))
+    hints = (
+        Word("h none" if whole else "h more", style.MUTED, 9),
+        Word("tab keys", style.MUTED, 9),
+    )
     pace = rates or names[:1]  # where time stands still, which frame is seen
     return Row(usual, (*pace, *hints)), Row((*settings,), names)
 

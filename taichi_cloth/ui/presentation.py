@@ -15,7 +15,7 @@ from taichi_cloth.settings.options import PROGRAM
 from taichi_cloth.ui import hud
 from taichi_cloth.ui.chrome.chrome import Chrome, Contents, key_list
 from taichi_cloth.ui.chrome.contract import Part
-from taichi_cloth.ui.chrome.layout import Layout, Rect
+from taichi_cloth.ui.chrome.layout import ROWS, Layout, Rect
 from taichi_cloth.ui.chrome.meters import Meters
 from taichi_cloth.ui.chrome.timeline_row import TimelineRow
 from taichi_cloth.ui.chrome.toolbar import Button
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from taichi_cloth.simulation.simulation import Simulation
     from taichi_cloth.ui.chrome.settings_panel import SettingsPanel
 
+READ_SECONDS = 10.0  # how long the foot of the settings has what was told, in lines of its own
 SAMPLE = 200  # particles of which one is nearly always in the picture
 
 
@@ -89,7 +90,10 @@ class Presentation:
             from taichi_cloth.ui.chrome.settings_panel import SettingsPanel
 
             self.costs = RunningCosts()
-            self.settings = SettingsPanel(sim, controls, self.costs, request.scenes, request.budget)
+            self.settings = SettingsPanel(
+                sim, controls, self.costs, request.scenes,
+                lambda: self._status.told(READ_SECONDS), request.budget,
+            )  # fmt: skip
             parts.insert(0, self.settings)
             parts.append(self.why)
         opened = request.scenes.opened
@@ -285,6 +289,7 @@ class Presentation:
             in_view=self._in_view,
             found=self.pair.second.finding() if self.pair else None,
             faster=self._faster,
+            whole=self.chrome.opened.strip == ROWS,
         )
         if self._takes.of_world:  # over which these two lie
             keys, banner = (), None

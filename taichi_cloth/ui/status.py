@@ -30,7 +30,8 @@ class Status:
     _rates_due: float = 0.0
     _budget: Word | None = None
     _notice: str | None = None
-    _notice_until: float = 0.0
+    _now: float = 0.0
+    _noticed: float = 0.0  # when the notice was new
     _held_up: tuple[float, float] | None = None
     _held_up_until: float = 0.0
     _lost: bool = False
@@ -38,6 +39,10 @@ class Status:
     def hurry(self) -> None:
         """Have the rates read anew for the next frame."""
         self._rates_due = 0.0
+
+    def told(self, seconds: float) -> str | None:
+        """What was told last, if that is no longer ago than so many seconds."""
+        return self._notice if self._now < self._noticed + seconds else None
 
     def rows(
         self,
@@ -52,6 +57,7 @@ class Status:
         in_view: Callable[[], bool] | None = None,
         found: Word | None = None,
         faster: Callable[[], Word | None] = lambda: None,
+        whole: bool = False,
     ) -> tuple[Row, ...]:
         """The status of the frame that `sim` is at.
 
@@ -59,10 +65,12 @@ class Status:
         has the same pictures. state: of a window, in a word; None without one. moving: whether
         frames come, at full speed. tool: the one in hand. notice: what was last told. urgent: what
         is told before. budget: what is held. in_view: says whether any particle is.
-        found: what differs first in a run beside it. faster: says what would be.
+        found: what differs first in a run beside it. faster: says what would be. whole: whether
+        all rows are shown.
         """
         if notice != self._notice:
-            self._notice, self._notice_until = notice, now + NOTICE_SECONDS
+            self._notice, self._noticed = notice, now
+        self._now = now
         if state is not None:
             if self.sim.held_up is not self._held_up:  # found anew, for as long as it goes on
                 self._held_up, self._held_up_until = self.sim.held_up, now + NOTICE_SECONDS
@@ -75,7 +83,7 @@ class Status:
                 if now < self._held_up_until:
                     self._rates += (hud.HELD_UP,)
                 self._lost = in_view is not None and not in_view()
-        told = notice if now < self._notice_until else hud.LOST if self._lost else None
+        told = self.told(NOTICE_SECONDS) or (hud.LOST if self._lost else None)
         return hud.status_rows(
             self.sim,
             self.device,
@@ -85,4 +93,5 @@ class Status:
             budget=budget,
             notice=urgent or told,
             found=found,
+            whole=whole,
         )

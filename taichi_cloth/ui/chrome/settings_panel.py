@@ -12,7 +12,7 @@ import math
 import operator
 import string
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -54,7 +54,7 @@ class SettingsPanel:
     """The panel; what it sets goes through the controls, which log it.
 
     sim: whose settings. frames: what its frames took. scenes: what the window may go on with.
-    budget: what the run may be kept to; None: nothing.
+    notice: says what was told lately. budget: what the run may be kept to; None: nothing.
     given: what was set since the last `flush`, by name; of several values the last one counts.
     """
 
@@ -66,9 +66,11 @@ class SettingsPanel:
         controls: Controls,
         frames: RunningCosts,
         scenes: Scenes,
+        notice: Callable[[], str | None],
         budget: Budget | None = None,
     ) -> None:
         self._sim, self._controls, self._scenes, self._budget = sim, controls, scenes, budget
+        self._notice = notice
         self._costs = SettingCosts(sim, frames)
         self._rows: list[Placed] = []
         self._read_at, self._shape = -np.inf, (0, 0)
@@ -171,7 +173,7 @@ class SettingsPanel:
 
     def _note(self) -> tuple[str, str]:
         """What is said at the foot: what the chosen row is and costs, or what was refused."""
-        row, notice = self._row(self._chosen), self._controls.notice
+        row, notice = self._row(self._chosen), self._notice()
         key = (row, notice, self._costs.looks, self._budget.why if self._budget else "")
         if self._noted is None or self._noted[0] != key:
             first, second = self._said(row) if row else (self._costs.frame, HINT)
