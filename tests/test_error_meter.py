@@ -295,14 +295,52 @@ def test_a_ghost_goes_with_the_run_it_is_of(chain):
         assert meter.last is chain.verdict
         sim.restore(middle)
         assert meter.last is meter.recent[0] and meter.age == 5
-        sim.advance(20)
-        assert meter.ghost is ghost and meter.recent == [meter.last]
+        sim.advance(FRAMES - 15)
+        assert meter.ghost is ghost and meter.last is chain.verdict
+        sim.restore(middle)
         sim.pin([3])
         sim.advance(2)
-        assert meter.ghost is None
+        assert meter.ghost is None and meter.recent == [meter.last]
+        sim.advance(FRAMES - 17)
+        assert meter.recent == [meter.last] and meter.age == FRAMES - 10
         meter.ghost = ghost
         sim.reset()
         assert meter.ghost is None
+    finally:
+        meter.close()
+        sim.restore(there)
+
+
+def test_a_verdict_that_comes_after_the_run_went_back_is_shown_where_it_is_of(chain):
+    """At its second's end, once one is there again; where the run goes another way, it is not."""
+    sim = chain.sim
+    there = sim.checkpoint()
+    sim.reset()
+    meter = Here(sim)
+    try:
+        sim.advance(20)
+        middle = sim.checkpoint()
+        sim.advance(FRAMES - 15)
+        present = sim.checkpoint()
+        meter._task.join()
+        (window,) = meter.windows
+        sim.restore(middle)
+        whole = replace(chain.verdict, solver=0.1)
+        for verdict in chain.verdict, whole:  # what its error comes from is told later
+            meter._show(window, verdict)
+            assert meter.last is None and meter.recent == [verdict]
+        sim.restore(present)  # it was only looked at
+        assert meter.last is whole and meter.age == 5
+        sim.restore(middle)
+        sim.advance(FRAMES - 20)
+        assert meter.last is whole and meter.age == 0
+        sim.restore(middle)
+        sim.pin([3])
+        meter._judged = window  # as if it were still being judged
+        sim.advance(1)
+        meter._show(window, whole)
+        sim.advance(FRAMES)
+        assert meter.last is None
     finally:
         meter.close()
         sim.restore(there)

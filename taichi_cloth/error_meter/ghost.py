@@ -69,17 +69,6 @@ class Ghost:
             away = (1 - part) * away + part * self.away[before + 1]
         return away
 
-    def is_of(self, frame: int, drawn: np.ndarray) -> bool:
-        """Whether a run that is at this frame is the one it is of, as far as that can be told.
-
-        drawn: (n, dim) or longer, where its particles are.
-        """
-        sample, beyond = divmod(frame - self.first, self.stride)
-        if beyond or not 0 <= sample < len(self.shown):
-            return True
-        shown = self.shown[sample].astype(drawn.dtype)
-        return np.array_equal(drawn[: len(shown)], shown)
-
 
 def write(path: Path, reference: np.ndarray, shown: np.ndarray, torn: np.ndarray) -> None:
     """Write what a ghost is read from.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 import threading
 import time
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
@@ -43,6 +44,7 @@ NICE = 19  # of the process: the run goes first
 PATIENCE = 10.0  # seconds that a window's references may take where the run goes on
 SLOW = 3.0  # seconds: what takes longer says for how long it does
 LONGEST_REST = 10.0  # seconds
+TRAIL = 1200  # frames, of which a window goes back by half
 MOST_LOST = 3  # processes that may end before no other one is started
 
 
@@ -57,8 +59,9 @@ class ErrorMeter(Listener):
     orders: whether the order of each window is measured, too. trials: says at the end of a window
     by which other methods it is made again; None: by none. rests: for how many times as long as it
     judged a window it leaves the processor to the run, which has shorter frames then.
-    verdicts: all of them; recent: those since the run last went elsewhere, as by a reset.
-    ghost: of the last verdict that knows an error, while the run is the one it is of.
+    verdicts: all of them; recent: those of the run as it is now: after a reset of none before, and
+    where it went back and went another way, of none after that. ghost: of the last verdict that
+    knows an error, while the run is the one it is of.
     """
 
     def __init__(
@@ -85,9 +88,9 @@ class ErrorMeter(Listener):
         self.skipped = 0  # frames that were made while the process was busy
         self.waited = 0.0  # seconds that the run waited for verdicts
         self.recent: list[Verdict] = []
-        self._judged: Window | None = None  # whose verdict is of what the run shows now
+        self._judged: Window | None = None  # the last one, while the run is the one it is of
         self.ghost: Ghost | None = None
-        self._returned = False  # whether the run may go another way than the ghost's
+        self._trail: dict[int, int] = {}  # what was shown at each frame, by which it is known again
         self.refused = _refusal(sim)
         if not self.refused:
             sim.listeners += (self,)
@@ -140,11 +143,7 @@ class ErrorMeter(Listener):
     def before_act(self, name: str, args: tuple[Any, ...], given: Mapping[str, Any]) -> None:
         """End the window before what is another run's."""
         if name in LEAVES:
-            self._judged = None
-        if name == "restore":
-            self._returned = True
-        elif name in LEAVES:
-            self.recent, self.ghost = [], None
+            self.recent, self._judged, self.ghost, self._trail = [], None, None, {}
         elif name == "remove":
             self.ghost = None
         if self._window is not None and name in ENDS:
@@ -152,15 +151,16 @@ class ErrorMeter(Listener):
 
     def after_act(self, name: str, args: tuple[Any, ...], given: Mapping[str, Any]) -> None:
         """Note what was done."""
-        if self._window is not None:
+        if name == "restore":
+            self._follow()
+        elif self._window is not None:
             self._window.note_act(name, args, given)
         elif name in ENDS - LEAVES and not (self.busy or self.resting):
             self._open()  # so that the next frame counts, too
 
     def after_frame(self) -> None:
         """Note a frame; a whole window is handed on, and another one begins, once it is told."""
-        if self._returned:
-            self._follow()
+        self._follow()
         if self._window is not None:
             self._window.note_frame(self._sim)
         elif self.busy or self.resting:
@@ -180,12 +180,22 @@ class ErrorMeter(Listener):
             self._open()
 
     def _follow(self) -> None:
-        """Forget what is of another run than this one, which went back and may go another way."""
-        frame, ghost = self._sim.frame, self.ghost
-        self.recent = [verdict for verdict in self.recent if verdict.end < frame]
-        if ghost is not None and not ghost.is_of(frame, self._sim.drawn_positions()):
-            self.ghost = None
-        self._returned = self.ghost is not None and frame <= self.ghost.end
+        """Note what is shown; where that was otherwise at this frame before, the run went back and
+        goes another way: forget what is of the other one from here on.
+        """
+        frame = self._sim.frame
+        if frame % (1 if self._sim.particle_count <= FEW else STRIDE):
+            return
+        shown = zlib.crc32(self._sim.drawn_positions().tobytes())
+        if self._trail.get(frame, shown) != shown:
+            self._trail = {at: seen for at, seen in self._trail.items() if at < frame}
+            self.recent = [verdict for verdict in self.recent if verdict.end < frame]
+            if self.ghost is not None and self.ghost.end >= frame:
+                self.ghost = None
+            if self._judged is not None and self._judged.end >= frame:
+                self._judged = None
+        self._trail[frame] = shown
+        self._trail.pop(frame - TRAIL, None)
 
     def _open(self) -> None:
         """Begin a window, if there is anything that can move."""
@@ -247,11 +257,9 @@ class ErrorMeter(Listener):
         """Have a verdict as the last one, in place of what was known of the same window before."""
         if self._judged is not window:
             return
-        if self.recent and self.recent[-1].first == window.first:
-            self.recent[-1] = verdict
-        else:
-            self.recent.append(verdict)
-            self._returned = False
+        # Of a run that went back and came the same way again, windows may lie over each other.
+        others = [v for v in self.recent if v.first != verdict.first and _apart(v, verdict)]
+        self.recent = sorted([*others, verdict], key=lambda one: one.end)
 
     def _ask(self, window: Window) -> tuple[Verdict, Ghost | None]:
         """The error of a window, and its ghost."""
@@ -330,6 +338,11 @@ class ErrorMeter(Listener):
             f"{percent(most, DIGITS)} at most, over "
             f"{count}{unsure}{skipped}"
         )
+
+
+def _apart(one: Verdict, other: Verdict) -> bool:
+    """Whether no frame is in the windows of both."""
+    return one.end <= other.first or other.end <= one.first
 
 
 def _refusal(sim: Simulation) -> str:

@@ -27,8 +27,9 @@ STRIDE = 5
 ENDS = frozenset(
     ("reset", "restore", "load_scene", "load_as", "remove", "set_step", "set_solver", "set_method")
 )
-# Those after which it does not go on from what it showed.
-LEAVES = frozenset(("reset", "restore", "load_scene", "load_as"))
+# Those after which nothing is left of the run that was shown; one that is restored may come the
+# same way again.
+LEAVES = frozenset(("reset", "load_scene", "load_as"))
 
 # In the folder that meter and judge share: a window, its ghost, and what the judge is doing.
 WINDOW, GHOST, STAGE = "window.pickle", "ghost.npz", "stage.txt"
@@ -74,6 +75,11 @@ class Window:
     def frames(self) -> int:
         """How many frames were made in it."""
         return len(self.substeps)
+
+    @property
+    def end(self) -> int:
+        """The frame that it ends at."""
+        return self.first + self.frames
 
     def note_act(self, name: str, args: tuple[Any, ...], given: Mapping[str, Any]) -> None:
         """Take note of an act that was done: as bytes, since arguments may be written to later."""
