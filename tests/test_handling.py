@@ -22,6 +22,7 @@ from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.camera_moves import CameraMoves
 from taichi_cloth.ui.controls import Controls
 from taichi_cloth.ui.depiction import Depiction
+from taichi_cloth.ui.framing import camera_of_world
 from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.tools import throw
 from taichi_cloth.ui.tools.contract import Hand
@@ -569,6 +570,25 @@ def test_a_ball_is_thrown_along_the_line_of_sight_or_refused():
     slinky = Simulation(library.build("slinky"), topology="graph", execution="serial")
     with pytest.raises(InputError, match="a ball would pass through here"):
         slinky.prepare_balls()
+
+
+def test_a_ball_that_falls_on_its_way_comes_to_what_was_clicked(pool):
+    """In metres and seconds it falls by more than its size before it is there."""
+    hung = Particles.build([[1.0, 0.5, 0.0]], fixed=True, radius=0.05, mass=1.0)
+    world = World((2.0, 1.5, 2.0), (0.0, -9.81, 0.0), dt=1 / 60, up="y", tools=True)
+    sim = pool(Scene("hung", world, hung))
+    sim.reset()
+    camera, noted = camera_of_world(world), []
+    controls = Controls(sim, camera, WINDOW, note=noted.append)
+    controls.choose("throw")
+    place, _, _ = camera.project(hung.position, hung.radius)
+    for event in click(tuple(WindowMap.of(world, WINDOW).to_window(place)[0])):
+        controls.apply(event)
+    (ball,) = [event.values for event in noted if event.kind == "ball"]
+    t = np.linspace(0.0, 0.3, 3001)[:, None]
+    path = np.array(ball["pos"]) + t * ball["velocity"] + 0.5 * t**2 * world.gravity
+    apart = np.linalg.norm(path - hung.position[0], axis=1)
+    assert apart[0] > 0.5 and apart.min() < ball["radius"] + 0.05
 
 
 @pytest.mark.thorough

@@ -1,4 +1,4 @@
-"""Throw a heavy ball: in space along the line of sight, in a plane as the pointer is dragged."""
+"""Throw a heavy ball: in space at what is under the pointer, in a plane as that is dragged."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class _Memory:
 
 def _actions(scene: Scene) -> tuple[str, ...]:
     if scene.world.dim == 3:
-        return ("left click\tthrow a ball there, along the line of sight",)
+        return ("left click\tthrow a ball at what is there",)
     return ("drag with left\tthrow a ball: the farther, the faster",)
 
 
@@ -66,7 +66,10 @@ def _release(hand: Hand, memory: _Memory, event: Event) -> Events:
         begin = _entry(eye, along, *box)
         if begin is None:  # what is aimed at has left the box, or hangs out of it
             begin, along = _from_beside(eye, along, hand.camera.distance, *box)
-        velocity = along * (hand.camera.distance / (CROSSING * sim.dt))
+        speed = hand.camera.distance / (CROSSING * sim.dt)
+        way = float((hand.put(start, radius) - begin) @ along)
+        falls = max(way, 0.0) / speed  # for so long, and is thrown as much higher as it falls
+        velocity = along * speed - 0.5 * falls * np.array(world.gravity)
     else:
         begin = hand.place(start)
         moved = hand.place(np.array(event.pos)) - begin
