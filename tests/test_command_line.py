@@ -859,7 +859,7 @@ def test_what_cannot_be_written_is_said_of_the_file_that_a_link_names(tmp_path):
 
 
 def test_a_name_that_is_none_is_refused():
-    with pytest.raises(InputError, match="a.x00: cannot be written: embedded null"):
+    with pytest.raises(InputError, match="a.x00: cannot be written: .*embedded null"):
         PendingFile("a\0")
     if Path("/proc/self").exists():
         with pytest.raises(InputError, match="^/proc/a: cannot be written: No such file"):

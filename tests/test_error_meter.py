@@ -65,6 +65,11 @@ class Here(ErrorMeter):
     def _judge(self, window, trials):
         self.windows.append(window)
 
+    def _end(self, shown=True):
+        super()._end(shown)
+        if self._task:  # a busy machine may end it only after the next frame, which is skipped then
+            self._task.join()
+
 
 def act(sim, frame):
     """What a user may do in a second, before a frame."""
