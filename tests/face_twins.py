@@ -20,6 +20,7 @@ from taichi_cloth.scene.obstacles import Obstacle
 from taichi_cloth.simulation.simulation import Simulation
 
 BOX = {"centre": [5.0, 0.9, 0.0], "half": [0.05] * 3, "turn": [45.0, 0.0, 35.26], "friction": 0.6}
+PLATE = {"centre": [4.916, 0.75, 0.041], "half": [0.01, 0.16, 0.002]}
 TETRAHEDRON = {
     "vertices": [[0.0, 0.1, 0.0], [0.1, -0.05, 0.0], [-0.05, -0.05, 0.08], [-0.05, -0.05, -0.08]],
     "faces": [[0, 2, 1], [0, 3, 2], [0, 1, 3], [1, 2, 3]],
@@ -50,6 +51,7 @@ SCENES = {  # (scene, frames, steps a frame)
         8,
     ),
     "corner": lambda: (loose_sheet(Obstacle.build("box", **BOX)), 40, 8),
+    "plate, fast": lambda: (loose_sheet(Obstacle.build("box", **PLATE), speed=12.0), 6, 7),
     "mesh": lambda: (loose_sheet(Obstacle.build("mesh", **TETRAHEDRON)), 40, 8),
     "rod and a ball that moves": lambda: (
         loose_sheet(
@@ -75,7 +77,9 @@ def all_looked_at():
 
 
 def ends_of(name, **how):
-    """What a scene comes to: a digest of all its frames, and the faces that were left out last."""
+    """What a scene comes to: a digest of all its frames and of how many of its steps ended with
+    faces in obstacles, and the faces that were left out last.
+    """
     scene, frames, substeps = SCENES[name]()
     how = {"topology": "graph", "execution": "serial"} | how
     sim = Simulation(scene, substeps=substeps, **how)
@@ -83,6 +87,7 @@ def ends_of(name, **how):
     for _ in range(frames):
         sim.advance()
         digest.update(sim.positions().tobytes() + sim.velocities().tobytes())
+    digest.update(str(sim.unsettled_faces()).encode())
     return digest.hexdigest(), left_out(sim)
 
 

@@ -30,7 +30,7 @@ def by_steps(monkeypatch):
     monkeypatch.setattr(contact_fields, "pairs_act_at_once", lambda: True)
 
 
-SCENES = ("rod", "rod, fast", "rod that tears", "corner", "rope")
+SCENES = ("rod", "rod, fast", "rod that tears", "corner", "plate, fast", "rope")
 
 
 @pytest.mark.parametrize("name", mostly_thorough(SCENES, default=["rod, fast"]))

@@ -16,6 +16,7 @@ from selection import as_thorough, mostly_thorough
 from taichi_cloth.cli import run_notes
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods, obstruction
+from taichi_cloth.kernels.faces import LEAST_ROOM, UNSETTLED
 from taichi_cloth.kernels.obstacles import SHAPES, load
 from taichi_cloth.scene import scenefile
 from taichi_cloth.scene.checks import validate
@@ -595,9 +596,12 @@ def test_nothing_passes_through_in_one_step(device):
 SHARES = np.array([(i, j, 16 - i - j) for i in range(17) for j in range(17 - i)]) / 16
 
 
-def deepest_face(sim):
-    """How deep the faces of a scene's triangles are in its obstacles, sampled [length]."""
-    points = np.einsum("sk,mkd->msd", SHARES, sim.positions()[sim.scene.triangles])
+def deepest_face(sim, some=slice(None)):
+    """How deep the faces of a scene's triangles are in its obstacles, sampled [length].
+
+    some: of which triangles; absent: all.
+    """
+    points = np.einsum("sk,mkd->msd", SHARES, sim.positions()[sim.scene.triangles[some]])
     radii = np.full(points.size // 3, sim.radii().max())
     sharp = [solid for solid in solids(sim.scene) if solid.shape != "plane"]
     return depths(sharp, points.reshape(-1, 3), radii, sim.time).max()
@@ -716,6 +720,41 @@ def test_a_cloth_that_begins_through_a_box_is_not_thrown(device, capsys):
     fixed = np.arange(81) == elements[through][0, 0]  # of one particle that is fixed: its faces
     held = replace(scene, particles=replace(scene.particles, fixed=fixed))
     np.testing.assert_array_equal(through_from_start(held), through & ~fixed[elements].any(axis=1))
+
+
+@pytest.mark.parametrize("shape", ["rod", as_thorough("plate")])
+def test_every_step_that_ends_with_a_face_deep_in_an_obstacle_is_counted(device, shape):
+    """Where sweeps were given up, and where a step's path met the obstacle in another place."""
+    ends = [[4.968, 0.695, -0.148], [4.946, 0.805, 0.009]]
+    plate = {"centre": [4.916, 0.75, 0.041], "half": [0.01, 0.16, 0.002]}
+    known = {"rod": ("capsule", {"ends": ends, "radius": 0.003}), "plate": ("box", plate)}
+    (kind, values), sim, counted = known[shape], None, []
+    for speed, steps in ((9.86, 5), (11.37, 7), (4.0, 4)):
+        obstacle = Obstacle.build(kind, **values, velocity=[0.0, speed, 0.0])
+        scene = loose_sheet(obstacle, gravity=(0.0, 0.0, 0.0), dt=1 / 60 / steps)
+        sim = sim or Simulation(scene, topology="graph", execution="serial")
+        sim.load_scene(scene)
+        for _ in range(8 * steps):
+            before = sim.unsettled_faces()
+            sim.advance()
+            x = sim.positions()[scene.triangles]
+            longest = np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2).max()
+            room = max(0.002 + 0.003 * (shape == "rod"), LEAST_ROOM * longest)
+            counted.append(sim.unsettled_faces() - before)
+            assert counted[-1] or deepest_face(sim) < UNSETTLED * room
+    assert 0 < sum(counted) < len(counted) / 3
+
+
+def test_no_face_ends_deep_in_what_its_path_met_elsewhere(device):
+    """Faces around a box, along whose steps they met another side of it: one was 6 mm inside."""
+    box = Obstacle.build("box", centre=[5.01, 1.0, 0.02], half=[0.12, 0.16, 0.14])
+    scene = loose_sheet(box, gravity=(0.0, 0.0, 0.0), dt=1 / 480)
+    through = through_from_start(scene)[: len(scene.triangles)]
+    sim = Simulation(scene, topology="graph", execution="serial")
+    for _ in range(64):
+        sim.advance()
+        assert deepest_face(sim, ~through) < 1e-3
+    assert sim.unsettled_faces() == 0
 
 
 def through_from_start(scene):

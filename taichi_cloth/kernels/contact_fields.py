@@ -57,11 +57,12 @@ class ContactFields(Fields):
         moves; free_ball (not moving): of each slot, the middle of a ball that is free of obstacles,
         and the square of its radius (`obstruction.py`).
         held_by, held_at: what each particle goes with, 1 + its row, and where (`grips.py`).
-        elements, face, face_hits, face_left, face_row, face_count, face_finds, face_sweeps,
-        faces_unsettled (faces): a `Surface` of what is tested against sharp obstacles, and what
-        comes of that (`faces.py`); face_kick: what they have changed of each particle's velocity in
-        a step in which any met something, face_jump: what walls and pairs had before; face_clear,
-        face_seen, face_way, face_unseen: what need not be looked at (`face_clearance.py`).
+        elements, face, face_hits, face_left, face_deep, face_row, face_count, face_finds,
+        face_sweeps, faces_unsettled (faces): a `Surface` of what is tested against sharp
+        obstacles, and what comes of that (`faces.py`); face_kick: what they have changed of each
+        particle's velocity in a step in which any met something, face_jump: what walls and pairs
+        had before; face_clear, face_seen, face_way, face_unseen: what need not be looked at
+        (`face_clearance.py`).
         obstacle_low, obstacle_nodes, obstacle_grid: of its grid of distances, where it has one.
     The account of contacts (`contact_account.py`): accounting: whether it is kept; opened_x,
         opened_v, free_x, free_v, ended_x: the step's start, free end and end; held_x, held_v: what
@@ -163,7 +164,7 @@ class ContactFields(Fields):
         m, n = max(self.capacity.elements, 1), self.capacity.particles
         self.elements = Surface(self.real, m, n, self._reals, self._integers)
         self.face = self._scalars(FACE_CONTACTS * m, FACE_COLUMNS)
-        self.face_left = self._raised()
+        self.face_left, self.face_deep = self._raised(), self._raised()
         self.face_row, self.face_count = self._counts(m, 3), self._counts(max(min(n, 3 * m), 1))
         self.face_finds, self.face_sweeps = self._counts(), self._counts()
         self.faces_unsettled = self._counts()

@@ -15,12 +15,12 @@ energy does not grow, but for what sweeps leave.
 
 `face_distance.py` finds that point; who need not be looked at, `face_clearance.py` says. Where a
 step is longer than the obstacle is sharp, its whole path is looked at, by steps of the distance, as
-the obstacle sees it.
+the obstacle sees it. What that leads to may be deep in the obstacle elsewhere: then its end counts.
 """
 
 import taichi as ti
 
-from taichi_cloth.kernels import face_clearance, laws
+from taichi_cloth.kernels import face_clearance, laws, obstruction
 from taichi_cloth.kernels.compensated import joined, owed_at, put_at
 from taichi_cloth.kernels.contact import has_impulses
 from taichi_cloth.kernels.contact_fields import FACE_COLUMNS, FACE_CONTACTS
@@ -63,6 +63,7 @@ SWEEPS = 32  # at most, after each: what corners share is spread
 AT_ONCE = 8  # sweeps in a launch, after which the host asks what is next
 SETTLED = 1e-3  # of the room that a contact has: depth, and approach in a step, at which sweeps end
 UNSETTLED = 0.5  # of that room: a depth that is counted
+OPPOSED = -0.01  # cosine between normals up to which one would push back what another lets through
 LEAST_ROOM = 0.02  # of the longest side: the room of what has no radius
 MOST_LOOKS = 64  # along the path of a step
 
@@ -83,7 +84,8 @@ def needed(spec):
 
 
 # Phases (`phases.py`): contacts are searched for, counted, swept until they are at rest, and
-# searched for again.
+# searched for again. Where sweeps were given up, or an obstacle then took a particle far, so that
+# the faces at it went along, one more search only judges what is left.
 BEGIN, FIND, COUNT, SWEEP, LEAVE = range(5)
 
 
@@ -109,11 +111,15 @@ def _find(spec: ti.template(), state: ti.template(), t):
 def _begin_find(spec: ti.template(), state: ti.template(), i):
     state.face_finds[None] += 1
     state.face_left[None] = 0.0
+    state.face_deep[None] = 0.0
 
 
 @ti.func
 def _end_find(spec: ti.template(), state: ti.template(), i):
     state.phase[None] = ti.select(state.face_left[None] > 0.0, COUNT, LEAVE)
+    if state.face_finds[None] > FINDS:
+        state.face_finds[None] -= FINDS + 1
+        _judge(state)
 
 
 @ti.func
@@ -157,29 +163,44 @@ def _begin_sweep(spec: ti.template(), state: ti.template(), i):
 
 @ti.func
 def _end_sweep(spec: ti.template(), state: ti.template(), i):
-    state.phase[None] = ti.select(state.face_finds[None] < FINDS, FIND, LEAVE)
     if state.face_left[None] > SETTLED and state.face_sweeps[None] < SWEEPS:
         state.phase[None] = SWEEP
+    elif state.face_finds[None] < FINDS:
+        state.phase[None] = FIND
+    else:
+        state.phase[None] = LEAVE
+        state.face_left[None] = ti.cast(1.0, state.raised)  # who knows
 
 
 @ti.func
 def _leave(spec: ti.template(), state: ti.template(), t):
-    """Phase LEAVE: count the step if it is left unsettled, and renew the halos."""
-    each(spec, state, t, 1, _judge)
+    """Phase LEAVE: renew the halos, and have obstacles put particles onto themselves."""
     each_pack_moving(spec, state, t, leave)
-    go_to(spec, state, t, DONE)
+    obstruction.settle(spec, state, t)
+    each(spec, state, t, 1, _end_leave)
 
 
 PHASES = _begin, _find, _count, _sweep, _leave
-settle = stepping(PHASES)  # takes the faces of the scene's triangles out of obstacles
+settle = stepping(PHASES)  # takes the faces of the scene's triangles and particles out of obstacles
 
 
 @ti.func
-def _judge(spec: ti.template(), state: ti.template(), i):
-    """Count the step if some triangle is still deep in an obstacle."""
-    if state.face_left[None] > UNSETTLED:
-        state.faces_unsettled[None] = state.faces_unsettled[None] + 1
+def _end_leave(spec: ti.template(), state: ti.template(), i):
+    """End, or look at what is left; whether more than one search found something, stays known."""
     state.face_unseen[None] = 0
+    if state.face_left[None] > 0.0:
+        state.face_finds[None] += FINDS
+        state.phase[None] = FIND
+    else:
+        _judge(state)
+
+
+@ti.func
+def _judge(state: ti.template()):
+    """Count the step if the last search saw a face deep in an obstacle, and end."""
+    if state.face_deep[None] > UNSETTLED:
+        state.faces_unsettled[None] = state.faces_unsettled[None] + 1
+    state.phase[None] = DONE
 
 
 # --- what meets what ---------------------------------------------------------------------------
@@ -223,14 +244,21 @@ def _look_at(spec: ti.template(), state: ti.template(), o, m, piece, deepest):
     reached = deepest
     free, near = _is_near(spec, state, o, m)
     if near:
-        gap, gap_before, part, share, n, room, slack, own = _meet(spec, state, o, m, piece)
+        gap, gap_before, part, share, n, room, slack, own, deep = _meet(spec, state, o, m, piece)
         free = own
-        least = ti.select(state.face_finds[None] == 1, slack, slack + SETTLED * room)
-        if -1.0 * gap > ti.max(deepest, least):
+        if deep > UNSETTLED * room:
+            raise_to(state, state.face_deep[None], deep / room)
+        if -1.0 * gap > ti.max(deepest, _least(state, room, slack)):
             reached = -1.0 * gap
             state.face[_now(state, m), ROOM] = room
             _note_contact(spec, state, o, m, gap, gap_before > slack, part, share, n)
     return reached, free
+
+
+@ti.func
+def _least(state: ti.template(), room, slack):
+    """The depth up to which a search lets a triangle be."""
+    return ti.select(state.face_finds[None] == 1, slack, slack + SETTLED * room)
 
 
 @ti.func
@@ -308,7 +336,8 @@ def _meet(spec: ti.template(), state: ti.template(), o, m, piece):
     particle.
 
     Returns gap, gap_before, part, the shares (3,) of the triangle's corners in its nearest point,
-    the normal there, of the world, what `_room` says, and its clearance (`face_clearance.py`).
+    the normal there, of the world, what `_room` says, its clearance (`face_clearance.py`), and how
+    deep its step ends in the obstacle, or past where its path met it, if that can be pushed.
     """
     i, j, k = _piece(spec, state, m, piece)
     a0, a1 = _ends(spec, state, o, i)
@@ -319,8 +348,9 @@ def _meet(spec: ti.template(), state: ti.template(), o, m, piece):
     side = ti.max(laws.length(b1 - a1), laws.length(c1 - b1), laws.length(a1 - c1))
     room, slack = _room(spec, state, o, i, radii, side)
     fast = way > room
-    best_share, best_n = 0.0 * radii, 0.0 * a1
+    best_share, best_n, end_share, end_n = 0.0 * radii, 0.0 * a1, 0.0 * radii, 0.0 * a1
     gap, gap_before, met, clear = 0.0 * way, 0.0 * way, -1.0 + 0.0 * way, 0.0 * way
+    deep, end_gap = 0.0 * way, 0.0 * way
     # The first look is at the end, the second at the start: one loop, so that the laws of all
     # shapes are compiled once.
     w = ti.Vector([slot_number(spec, state.w, slot) for slot in ti.static((i, j, k))])
@@ -338,6 +368,8 @@ def _meet(spec: ti.template(), state: ti.template(), o, m, piece):
         else:
             if looks == 0:
                 gap, best_share, best_n = here, share, n
+                end_gap, end_share, end_n = here, share, n
+                deep = _deep(here, share, w)
             if looks <= 1:
                 gap_before = here
             found, past, meets_at, at, going = judge_look(
@@ -345,10 +377,21 @@ def _meet(spec: ti.template(), state: ti.template(), o, m, piece):
             )
             if found:
                 gap, best_share, best_n, met = past, share, n, meets_at
+                deep = ti.max(deep, _deep(past, share, w))
         looks += 1
     part = part_before(met, gap, gap_before)
+    if -1.0 * gap <= _least(state, room, slack) and -1.0 * end_gap > UNSETTLED * room:
+        # It ends outside of where its path met the obstacle, and yet elsewhere deep in it.
+        if end_n.dot(best_n) > OPPOSED:
+            gap, best_share, best_n = end_gap, end_share, end_n
     n = to_world(spec, state, o, END, best_n)
-    return gap, gap_before, part, _shares(spec, piece, best_share), n, room, slack, clear
+    return gap, gap_before, part, _shares(spec, piece, best_share), n, room, slack, clear, deep
+
+
+@ti.func
+def _deep(gap, share, w):
+    """How deep a point is, of such shares (3,) of corners of inverse masses w; 0 if it is fixed."""
+    return ti.select((share * share).dot(w) > 0.0, -1.0 * gap, 0.0 * gap)
 
 
 @ti.func

@@ -23,7 +23,7 @@ import taichi as ti
 from taichi_cloth.kernels import laws
 from taichi_cloth.kernels.compensated import joined, owed_at, put_at
 from taichi_cloth.kernels.contact import has_impulses, turned_by_walls, velocity_jump
-from taichi_cloth.kernels.loops import each_pack_moving
+from taichi_cloth.kernels.loops import each_pack_moving, raise_to
 from taichi_cloth.kernels.obstacles import load
 from taichi_cloth.kernels.obstacles.contract import BOUND, FAR, FRICTION, RESTITUTION, SCALE, THIN
 from taichi_cloth.kernels.packs import (
@@ -51,6 +51,7 @@ ROUNDINGS = 8.0  # of the lengths in a distance, that count as touching
 MOST_LOOKS = 128  # along the path of a step
 LEAST_STEP = 0.25  # of a look, in parts of how thin the obstacle is
 NEAR = 0.01  # distance, in the same parts, at which a path has met the obstacle
+FAR_PUSH = 0.4  # of its radius: by less no obstacle pushes a face so deep that it is counted
 # Of a free ball: of its radius, of the particle's radius, and roundings, that it is smaller.
 BALL_MARGIN, BALL_ROUNDINGS = 1e-3, 4.0
 
@@ -154,6 +155,9 @@ def _settle_particle(spec: ti.template(), state: ti.template(), slot):
                         if ti.static(_are_convex(spec.obstacles)):
                             last = o
     if touched == 1:
+        if ti.static(spec.faces):
+            if laws.length(x - slot_value(spec, state.x, slot)) > FAR_PUSH * radius:
+                raise_to(state, state.face_left[None], 1.0)
         put_at(spec, state, slot, x, x_low, v, v_low)
         note_fault(spec, state, slot)
     elif ti.static(keeps_balls(spec)):

@@ -28,11 +28,12 @@ from taichi_cloth.kernels import (
 from taichi_cloth.kernels.copies import keep
 from taichi_cloth.kernels.loops import each_pack
 
-# (needed, settle), in the order in which they act; resting pairs come after them
+# (needed, settle), in the order in which they act; resting pairs come after them. Faces have
+# obstacles settle particles, too, to see what comes of them.
 PARTS = (
     (grips.needed, grips.settle),
     (faces.needed, faces.settle),
-    (obstruction.needed, obstruction.settle),
+    (lambda spec: obstruction.needed(spec) and not faces.needed(spec), obstruction.settle),
 )
 
 

@@ -195,8 +195,9 @@ class Readings(Part):
         return len(too_near(self.positions(), whole, scene.spheres))
 
     def unsettled_faces(self) -> int:
-        """How many steps ended with a face or an edge in an obstacle, by half its radius and that
-        of the particles or more. They are counted since the start, or since `reset`."""
+        """How many steps ended with a face or an edge in an obstacle, or past where it met it, by
+        half its radius and that of the particles or more. They are counted since the start, or
+        since `reset`."""
         return int(self._unsettled[1]) + self.storage.unsettled_faces()
 
     def network(self) -> Network:
