@@ -62,10 +62,13 @@ def parameters(name: str) -> dict[str, Parameter]:
     """The scene's declared parameters by name, each with its type and default filled in."""
     scene_function = function(name)
     hints = typing.get_type_hints(scene_function, include_extras=True)
-    return {
-        key: hints[key].__metadata__[0].with_type(_single(hints[key].__origin__), parameter.default)
-        for key, parameter in inspect.signature(scene_function).parameters.items()
-    }
+    found = {}
+    for key, parameter in inspect.signature(scene_function).parameters.items():
+        hint = hints[key]
+        if typing.get_origin(hint) is typing.Union:  # Python 3.10 adds `| None` to a default None
+            hint = typing.get_args(hint)[0]
+        found[key] = hint.__metadata__[0].with_type(_single(hint.__origin__), parameter.default)
+    return found
 
 
 def _single(annotation: Any) -> type:
