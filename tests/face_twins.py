@@ -101,6 +101,7 @@ def left_out(sim):
 def twins_in(precision, names):
     """`ends_of` scenes in a precision, and of their twins. For a process of its own."""
     runtime.start("cpu", precision, threads=2)
-    found = [ends_of(name) for name in names]
-    with all_looked_at():
-        return [found, [ends_of(name) for name in names]]
+    with runtime.compiled_soon():
+        found = [ends_of(name) for name in names]
+        with all_looked_at():
+            return [found, [ends_of(name) for name in names]]
