@@ -332,7 +332,6 @@ def test_the_order_of_particles_does_not_matter(topology, pool):
 @pytest.mark.parametrize(
     ("precision", "collisions", "threads"),
     [
-        as_thorough(("f32", False, (1, 3))),
         as_thorough(("f32", False, (1, 2, 2, 3))),
         as_thorough(("f64", True, (1, 3))),
     ],
