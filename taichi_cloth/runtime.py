@@ -353,9 +353,10 @@ def _end() -> None:
     program = impl.get_runtime().prog
     if program is None:
         return
-    for holder in gc.get_referrers(program):
-        if isinstance(holder, SNodeTree):
-            holder.prog = None  # as of any earlier program: `destroy` does nothing
+    # Not by what refers to it: that is, of all on Python 3.10, a dictionary that nobody tracks.
+    for tree in gc.get_objects():
+        if type(tree) is SNodeTree and tree.prog is program:
+            tree.prog = None  # as of any earlier program: `destroy` does nothing
     del program
     taichi.reset()
 

@@ -329,6 +329,7 @@ ti.root.dense(ti.i, 8).place(ti.field(ti.f32))
 tree = ti.FieldsBuilder()
 tree.place(ti.field(ti.f32))
 tree = tree.finalize()
+vars(tree)  # by which it has a dictionary of its own, as on Python 3.10
 before, program = Image(32, 64), weakref.ref(impl.get_runtime().prog)
 runtime.start(threads=1)
 print(program())  # whoever holds it still, its memory is given back before other is taken

@@ -808,6 +808,8 @@ def test_a_title_is_no_formula(tmp_path):
     for maps in ([], [experiment.Map("verlet", "mass", [1.0], [1.0], [(1.0, 1.0, True)])]):
         report.write(tmp_path, scene, limits, maps, experiment.stall(scene))
         assert ElementTree.parse(tmp_path / "stability.svg").getroot().tag.endswith("svg")
+        (row,) = csv.DictReader((tmp_path / "stability.csv").open())
+        assert row["scene"] == "$\\x$ \\x00"  # Python 3.10 writes no NUL
 
 
 def test_the_command_refuses_what_it_cannot_do(tmp_path, capsys):

@@ -67,7 +67,7 @@ def _record(scene: Scene, found: StepLimits, stall: Stall) -> dict[str, Any]:
     """One row of stability.csv."""
     limit = found.limit
     return {
-        "scene": scene.name,
+        "scene": printable(scene.name),
         "method": found.method,
         "dt_gershgorin": found.dt_gershgorin,
         "dt_any_geometry": found.dt_any_geometry,
