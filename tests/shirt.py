@@ -5,7 +5,7 @@ the cuffs and the hem. Metres, y up, x from the left sleeve to the right one.
 """
 
 import numpy as np
-from scipy.sparse import coo_array, diags_array
+from scipy.sparse import coo_array, diags
 from scipy.sparse.linalg import spsolve
 
 CELL = 0.02
@@ -70,7 +70,7 @@ def depths(at):
     ).T
     n = len(at)
     links = coo_array((np.ones(2 * len(a)), (np.r_[a, b], np.r_[b, a])), shape=(n, n)).tocsr()
-    laplacian = (diags_array(links.sum(axis=1)) - links).tocsr()
+    laplacian = (diags(links.sum(axis=1)) - links).tocsr()
     free = np.flatnonzero([not on_seam(*place) for place in at])
     u = np.zeros(n)
     u[free] = spsolve(laplacian[free][:, free].tocsc(), links.sum(axis=1)[free])

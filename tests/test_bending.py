@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_bvp
+from scipy.integrate import solve_bvp, trapezoid
 from scipy.sparse import coo_array
 from scipy.sparse.linalg import eigsh, spsolve
 from scipy.spatial import Delaunay
@@ -200,7 +200,7 @@ def elastica(load):
     found = solve_bvp(slope, ends, s, np.zeros((2, len(s))), tol=1e-10, max_nodes=20_000)
     s = np.linspace(0, 1, 20_001)
     theta = found.sol(s)[0]
-    return np.array([np.trapezoid(np.cos(theta), s), np.trapezoid(np.sin(theta), s)])
+    return np.array([trapezoid(np.cos(theta), s), trapezoid(np.sin(theta), s)])
 
 
 def at_equilibrium(scene):

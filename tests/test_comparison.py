@@ -111,7 +111,7 @@ def test_a_file_s_name_is_no_formula_in_a_picture(swings):
     assert ElementTree.fromstring(pictures.draw(found, "svg")).tag.endswith("svg")
 
 
-@pytest.mark.filterwarnings("error::UserWarning")
+@pytest.mark.filterwarnings("error::UserWarning", "ignore::DeprecationWarning")
 def test_runs_of_the_same_bits_have_a_picture(swings):
     """Its axis was first fitted to a single value, of which Matplotlib warned on the terminal."""
     same = replace(tc.compare(swings[1.0], swings[1.0]), scale=1.0)
