@@ -12,9 +12,14 @@ os.environ["TI_SKIP_VERSION_CHECK"] = "ON"
 
 import pytest
 from commands import Commands
+from hypothesis import settings
 from pool import Pool
 from screens import virtual_screen
 from selection import mostly_thorough
+
+# No example fails for its time: a busy machine takes longer than the 200 ms of the default.
+settings.register_profile("any machine", deadline=None)
+settings.load_profile("any machine")
 
 
 @pytest.fixture(scope="session")
