@@ -3,7 +3,6 @@
 import copy
 import inspect
 import pickle
-import typing
 from dataclasses import replace
 
 import numpy as np
@@ -30,23 +29,6 @@ def test_every_scene_declares_itself(name):
     assert library.build(name).name == name
     signature = inspect.signature(library.function(name))
     assert all(p.kind is p.KEYWORD_ONLY for p in signature.parameters.values())
-
-
-def test_parameters_are_read_as_python_3_10_has_their_types(monkeypatch):
-    """Where a default is None, it makes an Optional of the type, around what is noted with it."""
-    here = {name: library.parameters(name) for name in library.names()}
-    resolved = typing.get_type_hints
-
-    def as_in_3_10(function, **given):
-        hints = resolved(function, **given)
-        defaults = inspect.signature(function).parameters
-        return {
-            key: hint if key == "return" or defaults[key].default is not None else hint | None
-            for key, hint in hints.items()
-        }
-
-    monkeypatch.setattr(typing, "get_type_hints", as_in_3_10)
-    assert {name: library.parameters(name) for name in library.names()} == here
 
 
 def test_scenes_are_equal_where_all_of_their_numbers_are():

@@ -60,15 +60,12 @@ def description(name: str) -> str:
 
 def parameters(name: str) -> dict[str, Parameter]:
     """The scene's declared parameters by name, each with its type and default filled in."""
-    scene_function = function(name)
-    hints = typing.get_type_hints(scene_function, include_extras=True)
-    found = {}
-    for key, parameter in inspect.signature(scene_function).parameters.items():
-        hint = hints[key]
-        if typing.get_origin(hint) is typing.Union:  # Python 3.10 adds `| None` to a default None
-            hint = typing.get_args(hint)[0]
-        found[key] = hint.__metadata__[0].with_type(_single(hint.__origin__), parameter.default)
-    return found
+    # Not `typing.get_type_hints`: of what defaults to None that of Python 3.10 makes an Optional.
+    declared = inspect.signature(function(name), eval_str=True).parameters
+    return {
+        key: p.annotation.__metadata__[0].with_type(_single(p.annotation.__origin__), p.default)
+        for key, p in declared.items()
+    }
 
 
 def _single(annotation: Any) -> type:
