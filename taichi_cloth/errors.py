@@ -95,7 +95,7 @@ def milliseconds(seconds: float, digits: int = 3) -> str:
     "1861".
     """
     ms = 1e3 * seconds
-    return f"{ms:.0f}" if abs(ms) >= 10**digits else f"{ms:.{digits}g}"
+    return f"{ms:.0f}" if abs(ms) >= 10**digits - 0.5 else f"{ms:.{digits}g}"
 
 
 def counted(count: int, thing: str) -> str:
