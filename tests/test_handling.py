@@ -537,14 +537,19 @@ def test_a_ball_is_larger_than_what_it_is_thrown_at(name):
 
 
 def test_a_ball_is_seen_as_large_as_it_is_however_fine_the_mesh():
-    """Knots that are larger than their mesh would hide it, and are drawn smaller."""
+    """Knots that are larger than their mesh would hide it, and are drawn smaller; so are those that
+    are put or tied to them. Who a ball is does not matter, after particles are removed.
+    """
     scene = library.build("cloth", columns=9, rows=7, spacing=2.0)
     sim = Simulation(scene.with_world(tools=True), topology="graph", execution="serial")
     depiction = Depiction(sim)
     knots = depiction.picture().radius
     assert knots == pytest.approx(np.full(63, 0.6)) and (scene.particles.radius == 5.0).all()
     sim.spawn((200.0, 100.0), radius=16.0, mass=50.0)
-    assert depiction.picture().radius.tolist() == [*knots, 16.0]
+    sim.spawn((250.0, 100.0), radius=5.0, tied_to=62)
+    assert depiction.picture().radius.tolist() == [*knots, 16.0, knots[0]]
+    sim.remove([0, 1])
+    assert depiction.picture().radius.tolist() == [*knots[2:], 16.0, knots[0]]
 
 
 def test_a_ball_is_thrown_along_the_line_of_sight_or_refused():
@@ -572,23 +577,33 @@ def test_a_ball_is_thrown_along_the_line_of_sight_or_refused():
         slinky.prepare_balls()
 
 
-def test_a_ball_that_falls_on_its_way_comes_to_what_was_clicked(pool):
-    """In metres and seconds it falls by more than its size before it is there."""
+@pytest.mark.parametrize("distance", [None, 0.2])
+def test_a_ball_that_falls_on_its_way_comes_to_what_was_clicked(pool, distance):
+    """In metres and seconds it falls by more than its size before it is there. Close up, where it
+    is slow and would fall for seconds, it is thrown faster, and not out of the world.
+    """
     hung = Particles.build([[1.0, 0.5, 0.0]], fixed=True, radius=0.05, mass=1.0)
     world = World((2.0, 1.5, 2.0), (0.0, -9.81, 0.0), dt=1 / 60, up="y", tools=True)
     sim = pool(Scene("hung", world, hung))
     sim.reset()
     camera, noted = camera_of_world(world), []
+    if distance:  # from the same eye
+        camera.centre = camera.eye + distance * camera.rotation()[2]
+        camera.distance = distance
     controls = Controls(sim, camera, WINDOW, note=noted.append)
     controls.choose("throw")
     place, _, _ = camera.project(hung.position, hung.radius)
     for event in click(tuple(WindowMap.of(world, WINDOW).to_window(place)[0])):
         controls.apply(event)
     (ball,) = [event.values for event in noted if event.kind == "ball"]
-    t = np.linspace(0.0, 0.3, 3001)[:, None]
+    t = np.linspace(0.0, 0.4, 4001)[:, None]
     path = np.array(ball["pos"]) + t * ball["velocity"] + 0.5 * t**2 * world.gravity
     apart = np.linalg.norm(path - hung.position[0], axis=1)
     assert apart[0] > 0.5 and apart.min() < ball["radius"] + 0.05
+    way = path[: apart.argmin()]
+    assert ((way > world.low) & (way < world.high)).all()
+    rises = np.cross(way - way[0], hung.position[0] - way[0]) / apart[0]
+    assert np.linalg.norm(rises, axis=1).max() <= apart[0] / 8 + 0.01
 
 
 @pytest.mark.thorough

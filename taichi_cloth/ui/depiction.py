@@ -42,7 +42,8 @@ class Depiction:
         self.strained = Strained(sim)
         self._sim = sim
         self._radius = Cached(_drawn_radius)
-        self._largest_disc = _largest_disc(sim.scene)
+        largest = float(sim.scene.particles.radius.max(initial=0.0))
+        self._discs = _largest_disc(sim.scene), largest
         self._chosen = Cached(shown.chosen)
         self._surface_colors = Cached(shown.surface_colors)
         self._solids = Solids()
@@ -83,7 +84,7 @@ class Depiction:
             normals = sim.drawn_normals() if part >= 1 else between.normals(sim, part)
         made = Picture(
             position=position,
-            radius=self._radius(stored.radius, self._largest_disc, len(sim.scene.particles)),
+            radius=self._radius(stored.radius, *self._discs),
             color=color,
             segments=segments,
             spring_color=spring_color,
@@ -108,13 +109,12 @@ class Depiction:
         return found
 
 
-def _drawn_radius(radius: np.ndarray, largest: float, count: int) -> np.ndarray:
-    """Radii to draw, (n,) float32: those of the first `count`, which a scene came with, at most
-    `largest`; balls that came since are seen as large as they are.
+def _drawn_radius(radius: np.ndarray, most: float, usual: float) -> np.ndarray:
+    """Radii to draw, (n,) float32: at most `most`, but of balls that are larger than all particles
+    that the scene came with, `usual`: these are seen as large as they are.
     """
-    drawn: np.ndarray = radius.astype(np.float32)
-    drawn[:count] = np.minimum(drawn[:count], np.float32(largest))
-    return drawn
+    drawn: np.ndarray = np.where(radius > usual, radius, np.minimum(radius, most))
+    return drawn.astype(np.float32)
 
 
 def _with_marks(picture: Picture, marks: Marks) -> Picture:

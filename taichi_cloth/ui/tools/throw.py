@@ -66,9 +66,12 @@ def _release(hand: Hand, memory: _Memory, event: Event) -> Events:
         begin = _entry(eye, along, *box)
         if begin is None:  # what is aimed at has left the box, or hangs out of it
             begin, along = _from_beside(eye, along, hand.camera.distance, *box)
-        speed = hand.camera.distance / (CROSSING * sim.dt)
-        way = float((hand.put(start, radius) - begin) @ along)
-        falls = max(way, 0.0) / speed  # for so long, and is thrown as much higher as it falls
+        way = max(float((hand.put(start, radius) - begin) @ along), 0.0)
+        # Where the eye is near and what it is thrown at far it is faster: it never flies in a
+        # higher arc than an eighth of its way, out of the picture and the world.
+        flat = np.sqrt(way * np.linalg.norm(world.gravity))
+        speed = max(hand.camera.distance / (CROSSING * sim.dt), flat)
+        falls = way / speed  # for so long, and is thrown as much higher as it falls
         velocity = along * speed - 0.5 * falls * np.array(world.gravity)
     else:
         begin = hand.place(start)
