@@ -351,6 +351,87 @@ def test_a_verdict_that_comes_after_the_run_went_back_is_shown_where_it_is_of(ch
         sim.restore(there)
 
 
+def test_of_many_particles_what_is_of_another_run_is_forgotten_up_to_where_it_was_seen(
+    chain, monkeypatch
+):
+    """Each fifth frame is looked at: between, the run may have gone another way already."""
+    sim = chain.sim
+    monkeypatch.setattr(meters, "FEW", 0)
+    there = sim.checkpoint()
+    sim.reset()
+    meter = Here(sim)
+    try:
+        sim.advance(20)
+        middle = sim.checkpoint()
+        sim.advance(10)
+        known = [Verdict(first, 15, error=1.0, scale=9.0) for first in (5, 8, 12)]
+        sim.restore(middle)
+        sim.advance(5)
+        meter.recent = list(known)
+        sim.restore(middle)
+        sim.pin([3])
+        sim.advance(5)
+        assert meter.recent == known[:1]
+    finally:
+        meter.close()
+        sim.restore(there)
+
+
+@pytest.mark.parametrize("act", ["reset", "remove", "set_step"])
+def test_what_is_told_while_the_run_becomes_another_is_not_of_that(chain, act, monkeypatch):
+    """Nothing after a reset; after a removal the error, but no ghost, whose particles there were.
+
+    Whoever asks for a reset waits while a verdict is put among the others.
+    """
+    ghost = Ghost.read(chain.folder / GHOST, chain.window)
+    asked, may_answer = threading.Event(), threading.Event()
+
+    class Answers(Here):
+        _judge = ErrorMeter._judge
+
+        def _ask(self, window):
+            asked.set()
+            assert may_answer.wait(60)
+            return chain.verdict, ghost
+
+        def _ask_parts(self, trials):
+            return chain.verdict
+
+        def _end(self, shown=True):
+            ErrorMeter._end(self, shown)
+
+    there = chain.sim.checkpoint()
+    meter = Answers(chain.sim)
+    try:
+        chain.sim.advance(FRAMES)
+        assert asked.wait(60)
+        if act == "reset":
+            meter.recent = [Verdict(-99, 15, error=1.0, scale=9.0)]
+            late = threading.Thread(target=meter.before_act, args=(act, (), {}))
+
+            def apart(one, other):
+                if not late.ident:
+                    late.start()
+                late.join(0.3)
+                return True
+
+            monkeypatch.setattr(meters, "_apart", apart)
+        else:
+            meter.before_act(act, (), {})
+        may_answer.set()
+        meter._task.join()
+        if act == "reset":
+            late.join()
+        assert (meter.recent, meter.ghost) == {
+            "reset": ([], None),
+            "remove": ([chain.verdict], None),
+            "set_step": ([chain.verdict], ghost),
+        }[act]
+    finally:
+        meter.close()
+        chain.sim.restore(there)
+
+
 def test_a_ghost_has_no_springs_that_broke_in_the_reference():
     """Nor triangles with such a side, nor what came after its second began."""
     picture = Picture(

@@ -90,7 +90,9 @@ class ErrorMeter(Listener):
         self.recent: list[Verdict] = []
         self._judged: Window | None = None  # the last one, while the run is the one it is of
         self.ghost: Ghost | None = None
+        self._haunts = False  # whether that one's ghost has who is who in the run by now
         self._trail: dict[int, int] = {}  # what was shown at each frame, by which it is known again
+        self._lock = threading.Lock()  # of what is known of the run, which two threads change
         self.refused = _refusal(sim)
         if not self.refused:
             sim.listeners += (self,)
@@ -142,12 +144,13 @@ class ErrorMeter(Listener):
 
     def before_act(self, name: str, args: tuple[Any, ...], given: Mapping[str, Any]) -> None:
         """End the window before what is another run's."""
-        if name in LEAVES:
-            self.recent, self._judged, self.ghost, self._trail = [], None, None, {}
-        elif name == "remove":
-            self.ghost = None
         if self._window is not None and name in ENDS:
             self._end(shown=name not in LEAVES)
+        with self._lock:
+            if name in LEAVES:
+                self.recent, self._judged, self.ghost, self._trail = [], None, None, {}
+            elif name == "remove":
+                self.ghost, self._haunts = None, False
 
     def after_act(self, name: str, args: tuple[Any, ...], given: Mapping[str, Any]) -> None:
         """Note what was done."""
@@ -183,17 +186,19 @@ class ErrorMeter(Listener):
         """Note what is shown; where that was otherwise at this frame before, the run went back and
         goes another way: forget what is of the other one from here on.
         """
-        frame = self._sim.frame
-        if frame % (1 if self._sim.particle_count <= FEW else STRIDE):
+        frame, stride = self._sim.frame, 1 if self._sim.particle_count <= FEW else STRIDE
+        if frame % stride:
             return
         shown = zlib.crc32(self._sim.drawn_positions().tobytes())
         if self._trail.get(frame, shown) != shown:
             self._trail = {at: seen for at, seen in self._trail.items() if at < frame}
-            self.recent = [verdict for verdict in self.recent if verdict.end < frame]
-            if self.ghost is not None and self.ghost.end >= frame:
-                self.ghost = None
-            if self._judged is not None and self._judged.end >= frame:
-                self._judged = None
+            same = frame - stride  # beyond that it may have gone another way
+            with self._lock:
+                self.recent = [verdict for verdict in self.recent if verdict.end <= same]
+                if self.ghost is not None and self.ghost.end > same:
+                    self.ghost = None
+                if self._judged is not None and self._judged.end > same:
+                    self._judged = None
         self._trail[frame] = shown
         self._trail.pop(frame - TRAIL, None)
 
@@ -211,7 +216,9 @@ class ErrorMeter(Listener):
         if window is None or window.frames < LEAST:
             self._cut += window is not None and window.frames > 0
             return
-        self._judged, self._asked = window if shown else None, self._asked + 1
+        with self._lock:
+            self._judged, self._haunts = window if shown else None, True
+        self._asked += 1
         asked = window, self.trials() if self.trials else ()  # of the run as it is now
         if self._waits:
             begin = time.perf_counter()
@@ -230,8 +237,9 @@ class ErrorMeter(Listener):
             verdict, ghost = self._ask(window)
             if verdict.known:
                 self._show(window, verdict)
-                if self._judged is window:
-                    self.ghost = ghost
+                with self._lock:
+                    if self._judged is window and self._haunts:
+                        self.ghost = ghost
                 verdict = self._ask_parts(trials)
         except (WorkerFailed, OSError) as failure:
             if not self._closed:
@@ -255,11 +263,12 @@ class ErrorMeter(Listener):
 
     def _show(self, window: Window, verdict: Verdict) -> None:
         """Have a verdict as the last one, in place of what was known of the same window before."""
-        if self._judged is not window:
-            return
-        # Of a run that went back and came the same way again, windows may lie over each other.
-        others = [v for v in self.recent if v.first != verdict.first and _apart(v, verdict)]
-        self.recent = sorted([*others, verdict], key=lambda one: one.end)
+        with self._lock:
+            if self._judged is not window:
+                return
+            # Of a run that went back and came the same way again, windows may lie over each other.
+            others = [v for v in self.recent if v.first != verdict.first and _apart(v, verdict)]
+            self.recent = sorted([*others, verdict], key=lambda one: one.end)
 
     def _ask(self, window: Window) -> tuple[Verdict, Ghost | None]:
         """The error of a window, and its ghost."""
