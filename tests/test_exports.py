@@ -287,6 +287,45 @@ def test_a_trajectory_that_goes_back_to_before_a_click_has_nothing_of_what_was_c
     assert found.spring_alive.shape == (2, len(SPRINGS))
 
 
+class Elsewhere(Moving):
+    """It tears, has a spring more or a particle more as it is told to, and not by its frame."""
+
+    torn = tied = False
+
+    def springs(self):
+        return np.concatenate([SPRINGS, [[1, 3]]]) if self.tied else SPRINGS
+
+    def springs_alive(self):
+        return np.array([True, True, not self.torn, True, True, True])[: len(self.springs())]
+
+    def triangles_alive(self):
+        return np.array([True, not self.torn])
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_an_export_whose_run_went_back_is_as_if_it_had_never_been_there(tmp_path, name):
+    """To the byte, however far it went back; it began anew, and had nothing of what was before."""
+
+    def made(path, *ways):
+        export, sim = Export(path, DT, 2), Elsewhere()
+        for back, frames, told in ways:
+            export.rewind(back)
+            vars(sim).update({"torn": False, "tied": False, "more": 0, **told})
+            for sim.frame in frames:
+                export.record(sim)
+        export.save()
+        found = sorted(file for file in tmp_path.rglob("*") if file.is_file())
+        return [(file.name, file.read_bytes()) for file in found], export.frames, export.left_out
+
+    began, gone = (0, range(1, 6), {}), (5, range(6, 10), {"torn": True, "tied": True, "more": 2})
+    for back in (5, 4, 2, 1):
+        on = (back, range(back + 1, 11), {"torn": back < 5})
+        straight = made(tmp_path / name, (0, range(1, back + 1), {}), on)
+        assert made(tmp_path / name, began, gone, on) == straight and straight[1:] == (5, 0)
+    *_, frames, left_out = made(tmp_path / name, began, gone, (7, range(8, 9), gone[2]))
+    assert (frames, left_out) == (4, 2)
+
+
 def test_formats_that_are_none_are_refused_by_name(tmp_path, monkeypatch, capsys):
     (tmp_path / "file").touch()
     (tmp_path / "here").mkdir()

@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 import taichi_cloth as tc
 from taichi_cloth.errors import InputError
 from taichi_cloth.files.events import Recorder
+from taichi_cloth.files.exports import Export
+from taichi_cloth.files.recordings import Recordings
 from taichi_cloth.files.trajectory import Trajectory
 from taichi_cloth.scene import scenefile
 from taichi_cloth.scene.library import build
@@ -483,6 +485,45 @@ def test_what_is_run_again_tells_nothing_anew(tmp_path):
         assert controls.notice == told
     travel.timeline.export(tmp_path / "seconds.npz")
     assert controls.notice == told and controls.tool.name == "pin"
+
+
+@pytest.mark.usefixtures("device")
+def test_files_of_a_run_that_goes_back_over_its_reset_have_no_frame_of_another_run(tmp_path):
+    """The frames before it are forgotten once another is noted; what came after are another's."""
+    sim = Simulation(build("cloth", columns=4, rows=3), topology="graph", execution="serial")
+    kept = Recordings(Trajectory(tmp_path / "a.npz"), Export(tmp_path / "b.npz", sim.dt))
+    controls = Controls(sim, None, (800, 600))
+    travel = Travel(sim, controls, None, None, kept)
+    frames, seen = 0, {}
+
+    def go_on(count):
+        nonlocal frames
+        travel.go_on()
+        for _ in range(count):
+            sim.advance()
+            frames += 1
+            kept.record(sim)
+            travel.note(frames)
+            seen[sim.frame] = sim.positions()
+
+    go_on(6)
+    sim.reset()
+    frames = travel.go(5)  # at once: all of them are still there
+    go_on(0)
+    assert [part.frames for part in (kept.trajectory, kept.export)] == [5, 5]
+    sim.reset()
+    go_on(2)
+    frames = travel.go(4)
+    assert sim.frame == 4
+    sim.set(velocities=1.0 + sim.velocities())
+    go_on(3)
+    kept.trajectory.save()
+    kept.export.save()
+    for name in ("a.npz", "b.npz"):
+        with np.load(tmp_path / name) as found:
+            assert found["frame"].tolist() == [5, 6, 7]
+            for frame, position in zip(found["frame"], found["position"], strict=True):
+                np.testing.assert_array_equal(position[:, :2], seen[frame])
 
 
 @pytest.mark.usefixtures("device")

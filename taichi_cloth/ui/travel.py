@@ -55,6 +55,7 @@ class Travel:
         )
         self._looked: list[LogEvent] = []  # events in the past that may not have to be kept
         self._quiet = False
+        self._noted: int | None = None  # at which frame the run began that was noted last
 
     @property
     def away(self) -> bool:
@@ -77,6 +78,7 @@ class Travel:
     def note(self, frame: int) -> None:
         """Take note of the present frame, after it was advanced."""
         self.timeline.note(frame)
+        self._noted = frame - self._sim.frame
 
     def go(self, frame: int) -> int:
         """Go to a frame, or to the nearest that there is; return which."""
@@ -120,7 +122,9 @@ class Travel:
         if self._recorder is not None:
             self._recorder.rewind(frame)
         if self._trajectory is not None:
-            self._trajectory.rewind(self._sim.frame)
+            # Before a reset it is another run, whose frames were forgotten since.
+            same = frame - self._sim.frame == self._noted
+            self._trajectory.rewind(self._sim.frame if same else -1)
         for event in looked:
             self.event(frame, event)
 

@@ -38,15 +38,27 @@ class Export:
 
     The particles are those of the first frame that is noted: what is clicked in later is left out,
     since the formats have the same points in all frames, and is counted in `left_out`.
-
-    frames: how many are noted.
     """
 
     def __init__(self, path: str | Path, dt: float, every: int = 1):
         self.every = operator.index(every)
         self._writer = open_export(Path(path), Clock(dt, self.every))
-        self._points, self._last = 0, -1
-        self.frames = self.left_out = 0
+        self._points = 0
+        self._noted: list[tuple[int, int]] = []  # frames, and how many particles each leaves out
+
+    @property
+    def frames(self) -> int:
+        """How many are noted."""
+        return len(self._noted)
+
+    @property
+    def left_out(self) -> int:
+        """How many particles are left out, of the frame that has the most."""
+        return max((more for _, more in self._noted), default=0)
+
+    @property
+    def _last(self) -> int:
+        return self._noted[-1][0] if self._noted else -1
 
     def record(self, sim: Recordable, *, last: bool = False) -> None:
         """Take note of a simulation's present frame, if its number is a multiple of `every`.
@@ -61,27 +73,26 @@ class Export:
         wanted = last or (frame > 0 and frame % self.every == 0)
         if not wanted or frame == self._last:
             return
-        noted = self._frame(sim)
-        self._writer.add(noted)
-        self._last, self.frames = frame, self.frames + 1
+        position = sim.positions()
+        if not self._noted:
+            self._points = len(position)
+        self._writer.add(self._frame(sim, position))
+        self._noted.append((frame, len(position) - self._points))
 
     def rewind(self, frame: int) -> None:
-        """Begin anew where a simulation goes on another way from `frame`.
-
-        Files hold what was written to them: where that is ahead, all of it is forgotten.
-        """
-        if self._last > frame:
+        """Forget the frames after `frame`, from which a simulation goes on another way."""
+        kept = [noted for noted in self._noted if noted[0] <= frame]
+        if not kept:
             self._restart()
+        elif len(kept) < len(self._noted):
+            self._writer.rewind(frame)
+        self._noted = kept
 
     def _restart(self) -> None:
         self._writer.restart()
-        self._last, self.frames, self.left_out = -1, 0, 0
+        self._noted = []
 
-    def _frame(self, sim: Recordable) -> Frame:
-        position = sim.positions()
-        if self._last < 0:
-            self._points = len(position)
-        self.left_out = max(self.left_out, len(position) - self._points)
+    def _frame(self, sim: Recordable, position: np.ndarray) -> Frame:
         points = np.full((self._points, 3), 0.0)
         kept = position[: self._points]
         points[: len(kept), : position.shape[1]] = kept  # of a plane's, z is 0

@@ -64,6 +64,9 @@ class Writer(Protocol):
     def restart(self) -> None:
         """Forget all frames."""
 
+    def rewind(self, frame: int) -> None:
+        """Forget the frames after this number; there is one that is not."""
+
     def finish(self) -> None:
         """Give the files their names. Once only, and nothing after `discard`."""
 

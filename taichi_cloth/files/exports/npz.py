@@ -33,6 +33,12 @@ class Archive:
     def restart(self) -> None:
         self._frames = []
 
+    def rewind(self, frame: int) -> None:
+        self._frames = [one for one in self._frames if one.number <= frame]
+        last = self._frames[-1]  # its tables are those of the next one, which may have had more
+        faces, springs = last.triangles[: len(last.whole)], last.springs[: len(last.held)]
+        self._frames[-1] = replace(last, triangles=faces, springs=springs)
+
     def finish(self) -> None:
         if self._file.file.closed:
             return

@@ -47,12 +47,22 @@ class PointCache:
         self._file.write(frame.position.astype("<f4").tobytes())
         self._samples += 1
 
+    def rewind(self, frame: int) -> None:
+        kept = (frame - self._first) // self._clock.every + 1
+        self._samples = min(self._samples, kept)
+        self._file.file.truncate(self._size)
+        self._file.file.seek(self._size)
+
+    @property
+    def _size(self) -> int:
+        """Of header and samples, in bytes."""
+        return HEADER.size + 12 * self._points * self._samples
+
     def finish(self) -> None:
         if self._file.file.closed:
             return
         try:
-            # An interrupt may have left a part of a sample.
-            self._file.file.truncate(HEADER.size + 12 * self._points * self._samples)
+            self._file.file.truncate(self._size)  # an interrupt may have left a part of a sample
             self._file.file.seek(0)
         except OSError as error:
             self._file.discard()

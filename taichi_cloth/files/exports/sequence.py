@@ -68,6 +68,11 @@ class Sequence:
         for file in self._folder.iterdir():
             file.unlink()
 
+    def rewind(self, frame: int) -> None:
+        for file in self._folder.iterdir():
+            if int(file.stem.rpartition("_")[2]) > frame:
+                file.unlink()
+
     def finish(self) -> None:
         if self._done:
             return

@@ -35,8 +35,19 @@ class Stage:
         self._frames: list[int] = []
         self._extents: list[np.ndarray] = []
         self._faces: list[tuple[int, np.ndarray]] = []  # from a frame on
-        self._size = 0
+        self._sizes: list[int] = []  # of the text up to each frame's end
         self._file.file.seek(0)
+        self._file.file.truncate()
+
+    def rewind(self, frame: int) -> None:
+        kept = sum(number <= frame for number in self._frames)
+        del self._frames[kept:], self._extents[kept:], self._sizes[kept:]
+        self._faces = [(number, faces) for number, faces in self._faces if number <= frame]
+        self._cut()
+
+    def _cut(self) -> None:
+        """Let the text end with the last frame: an interrupt may have left a part of one."""
+        self._file.file.seek(self._sizes[-1])
         self._file.file.truncate()
 
     def add(self, frame: Frame) -> None:
@@ -44,7 +55,7 @@ class Stage:
         head = b"" if self._frames else self._head(frame)
         text = head + f"        {frame.number}: [{_tuples(points)}],\n".encode()
         self._file.write(text)
-        self._size += len(text)
+        self._sizes.append((self._sizes[-1] if self._sizes else 0) + len(text))
         self._frames.append(frame.number)
         ends = points if len(points) else np.zeros((1, 3), np.float32)
         self._extents.append(np.stack([ends.min(axis=0), ends.max(axis=0)]))
@@ -81,8 +92,7 @@ class Stage:
         if not self._frames:
             self._file.write(b"#usda 1.0\n")
         else:
-            self._file.file.seek(self._size)  # an interrupt may have left a part of a frame
-            self._file.file.truncate()
+            self._cut()
             self._file.write(self._tail().encode())
             self._file.file.seek(self._end_at)
             self._file.write(f"{self._frames[-1]:<{WIDTH}d}".encode())
