@@ -24,7 +24,9 @@ from taichi_cloth.cli.main import main
 from taichi_cloth.comparison.compare import compare
 from taichi_cloth.errors import InputError, RunFailure
 from taichi_cloth.files import trajectory as trajectories
+from taichi_cloth.files.exports import Export
 from taichi_cloth.files.pending import PendingFile, write_whole
+from taichi_cloth.files.recordings import Recordings
 from taichi_cloth.kernels import methods
 from taichi_cloth.scene import checks, library
 from taichi_cloth.scene.source import SceneSource
@@ -422,6 +424,24 @@ def test_a_run_that_keeps_no_frame_says_so(cli, tmp_path, frames, says):
     words = ("run", "oscillator", *ON_GRAPH, "--frames", frames, "--every", 5, "--export")
     _, said = cli(*words, tmp_path / "frames")
     assert says in said and ("nothing is saved" in said) == bool(says)
+
+
+def test_what_a_window_saves_and_what_not_is_said_of_each_flag(tmp_path, capsys):
+    """That r makes files begin anew, and that none of their frames came before the end."""
+    trajectory = trajectories.Trajectory(tmp_path / "a.npz")
+    export = Export(tmp_path / "b.npz", 1.0)
+    for recordings, says in (
+        (Recordings(trajectory, None), "--save begins"),
+        (Recordings(trajectory, export), "--save and --export begin"),
+    ):
+        run_notes.note_reset(recordings, SimpleNamespace(visible=True))
+        run_notes.note_empty(recordings, 1)
+        said = capsys.readouterr()
+        assert said.out == f"r goes back to the start, and {says} anew there\n"
+        assert said.err.endswith("this run's frames: it ended before the first\n")
+    export._noted.append((1, 0))
+    run_notes.note_empty(recordings, 1)
+    assert not capsys.readouterr().err
     assert (tmp_path / "frames").exists() == (not says)
 
 

@@ -111,8 +111,9 @@ def note_parted(scene: Scene) -> None:
 def note_reset(recordings: Recordings, view: View) -> None:
     """Say what going back to the start does to what is saved, where a user may do so."""
     if recordings and view.visible:
-        words = "--save" if recordings.trajectory else "--export"
-        print(f"r goes back to the start, and {words} begins anew there", flush=True)
+        words = " and ".join(recordings.by_flag())
+        begin = "begin" if len(recordings.by_flag()) > 1 else "begins"
+        print(f"r goes back to the start, and {words} {begin} anew there", flush=True)
 
 
 def _first_line(sim: Simulation, device: Device, view: View) -> str:
@@ -248,10 +249,11 @@ def note_unreplayed(log: Log, frames: int) -> None:
 
 def note_empty(recordings: Recordings, every: int) -> None:
     """Say on standard error that what is saved has no frame, as the run ended before the first."""
-    if recordings and recordings.frames == 0 and every > 1:
+    if recordings and recordings.frames == 0:
+        kept = f"the first that --every {every} keeps; give a smaller one, or more --frames"
         say(
-            "note: nothing is saved of this run's frames: it ended before the first that --every "
-            f"{every} keeps; give a smaller one, or more --frames"
+            "note: nothing is saved of this run's frames: it ended before "
+            f"{kept if every > 1 else 'the first'}"
         )
 
 

@@ -15,19 +15,22 @@ class Recordings:
     def __bool__(self) -> bool:
         return not (self.trajectory is None and self.export is None)
 
+    def by_flag(self) -> dict[str, Trajectory | Export]:
+        """What there is, by the flag that asks for it."""
+        parts = {"--save": self.trajectory, "--export": self.export}
+        return {flag: part for flag, part in parts.items() if part is not None}
+
     @property
     def frames(self) -> int:
         """How many frames are noted."""
-        return max((part.frames for part in (self.trajectory, self.export) if part), default=0)
+        return max((part.frames for part in self.by_flag().values()), default=0)
 
     def record(self, sim: Recordable, *, last: bool = False) -> None:
         """Take note of a simulation's present frame; last: whatever its number is."""
-        for part in (self.trajectory, self.export):
-            if part is not None:
-                part.record(sim, last=last)
+        for part in self.by_flag().values():
+            part.record(sim, last=last)
 
     def rewind(self, frame: int) -> None:
         """Forget the frames after `frame`, from which a simulation goes on another way."""
-        for part in (self.trajectory, self.export):
-            if part is not None:
-                part.rewind(frame)
+        for part in self.by_flag().values():
+            part.rewind(frame)
