@@ -406,6 +406,27 @@ def test_what_was_told_leaves_the_settings_foot_after_a_while(sim, monkeypatch):
     assert (in_foot, anywhere) == ("-------xxxxx------x", "--xxxx-xxxxx------x")
 
 
+def test_the_same_words_are_told_again(sim, monkeypatch):
+    """As where a second click is refused for what the first one was, a while later."""
+    now = [0.0]
+    monkeypatch.setattr(app.time, "perf_counter", lambda: now[0])
+    monkeypatch.setattr(app.time, "sleep", lambda _: None)
+    monkeypatch.setattr(sim, "_watch", None)
+
+    class Seen(Pressed):
+        def draw(self, picture):
+            now[0] += 1.0
+            super().draw(picture)
+
+    beside = [Event(kind, pos=(9.0, 300.0), button="left") for kind in ("press", "release")]
+    turns = ["n"], *[[]] * 4, beside, *[[]] * 6, beside, beside, *[[]] * 6
+    window = Seen(sim.scene.world, turns)
+    window.size = (1600, 600)
+    app.run(sim, window, quiet=True, device="test")
+    told = "".join("-x"["outside the world" in said] for said in window.said)
+    assert told.strip("-") == "xxxx---xxxxx" and told.endswith("-")
+
+
 def test_escape_closes_what_was_opened_last_and_quits_where_nothing_is_open(sim):
     """The key list lies over a row of the settings that takes keys, and goes before it."""
     window = Pressed(sim.scene.world, ())

@@ -475,16 +475,16 @@ def test_what_is_run_again_tells_nothing_anew(tmp_path):
         for event in events:
             travel.event(frame, event)
             controls.apply(event)
-        told = controls.notice
+        told = controls.told
         controls.before_frame()
         sim.advance()
         travel.note(frame + 1)
-        assert told.startswith("pin" if frame >= 2 else "that is outside the world")
+        assert told[0].startswith("pin" if frame >= 2 else "that is outside the world")
     for back in (1, 2, 4):
         travel.go(back)
-        assert controls.notice == told
+        assert controls.told == told
     travel.timeline.export(tmp_path / "seconds.npz")
-    assert controls.notice == told and controls.tool.name == "pin"
+    assert controls.told == told and controls.tool.name == "pin"
 
 
 @pytest.mark.usefixtures("device")

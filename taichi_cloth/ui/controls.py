@@ -73,6 +73,11 @@ class Controls:
         return self._hand.notice
 
     @property
+    def told(self) -> tuple[str | None, int]:
+        """The notice, and how many there were: what is told again has the same words."""
+        return self._hand.told
+
+    @property
     def held(self) -> frozenset[str]:
         """The keys that are down, out of "ctrl" and the tool's modifiers."""
         return frozenset(self._hand.held)
@@ -101,6 +106,10 @@ class Controls:
     def tell(self, notice: str | None) -> None:
         """Tell the user something; None: what was told is no longer so."""
         self._hand.notice = notice
+
+    def tell_as_before(self, told: tuple[str | None, int]) -> None:
+        """Have told what was: nothing of what came meanwhile."""
+        self._hand.told = told
 
     def aimed(self, event: Event) -> Event:
         """The event that is to be applied and noted, which says what point of space it is about.

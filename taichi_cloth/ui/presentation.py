@@ -275,15 +275,15 @@ class Presentation:
             sim.scene, tool, opens, paused=state.paused, tied=sim.spring_count > 0,
             strain=self.depiction.strain, ghost=self.depiction.ghostly,
         )  # fmt: skip
-        urgent, notice = shutter.notice, self._controls.notice
+        urgent, told = shutter.notice, self._controls.told
         if state.exporting or state.opening:  # nothing is told before that
-            urgent = notice = None
+            urgent, told = None, (None, 0)
         rows = self._status.rows(
             time.perf_counter() if windowed else state.frames / FRAME_RATE,
             state=state.word(shutter.state) if windowed else None,
             moving=not state.stopped and state.pace.slowness == 1,
             tool=tool.name if tool else None,
-            notice=notice,
+            told=told,
             urgent=urgent,
             budget=self._budget.status() if self._budget else None,
             in_view=self._in_view,

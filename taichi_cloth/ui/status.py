@@ -29,9 +29,9 @@ class Status:
     _rates: tuple[Word, ...] = ()
     _rates_due: float = 0.0
     _budget: Word | None = None
-    _notice: str | None = None
+    _last: tuple[str | None, int] = None, 0  # what was told
     _now: float = 0.0
-    _noticed: float = 0.0  # when the notice was new
+    _noticed: float = 0.0  # when that was new
     _held_up: tuple[float, float] | None = None
     _held_up_until: float = 0.0
     _lost: bool = False
@@ -42,7 +42,7 @@ class Status:
 
     def told(self, seconds: float) -> str | None:
         """What was told last, if that is no longer ago than so many seconds."""
-        return self._notice if self._now < self._noticed + seconds else None
+        return self._last[0] if self._now < self._noticed + seconds else None
 
     def rows(
         self,
@@ -51,7 +51,7 @@ class Status:
         state: Word | None,
         moving: bool,
         tool: str | None,
-        notice: str | None,
+        told: tuple[str | None, int],
         urgent: str | None = None,
         budget: Word | None = None,
         in_view: Callable[[], bool] | None = None,
@@ -63,13 +63,13 @@ class Status:
 
         now: seconds, of a clock that without a window goes with the frames, so that the same run
         has the same pictures. state: of a window, in a word; None without one. moving: whether
-        frames come, at full speed. tool: the one in hand. notice: what was last told. urgent: what
-        is told before. budget: what is held. in_view: says whether any particle is.
-        found: what differs first in a run beside it. faster: says what would be. whole: whether
-        all rows are shown.
+        frames come, at full speed. tool: the one in hand. told: what was last, and how often
+        anything was. urgent: what is told before. budget: what is held. in_view: says whether any
+        particle is. found: what differs first in a run beside it. faster: says what would be.
+        whole: whether all rows are shown.
         """
-        if notice != self._notice:
-            self._notice, self._noticed = notice, now
+        if told != self._last:
+            self._last, self._noticed = told, now
         self._now = now
         if state is not None:
             if self.sim.held_up is not self._held_up:  # found anew, for as long as it goes on
@@ -83,7 +83,7 @@ class Status:
                 if now < self._held_up_until:
                     self._rates += (hud.HELD_UP,)
                 self._lost = in_view is not None and not in_view()
-        told = self.told(NOTICE_SECONDS) or (hud.LOST if self._lost else None)
+        said = self.told(NOTICE_SECONDS) or (hud.LOST if self._lost else None)
         return hud.status_rows(
             self.sim,
             self.device,
@@ -91,7 +91,7 @@ class Status:
             tool=tool,
             rates=self._rates,
             budget=budget,
-            notice=urgent or told,
+            notice=urgent or said,
             found=found,
             whole=whole,
         )

@@ -99,10 +99,10 @@ class Travel:
             at = (0.0, 0.0) if place is None else (float(place[0]), float(place[1]))
             self._keep(frame, Event("release", pos=at, button=button))
         if let_go or tool is not self._controls.tool:
-            said = self._controls.notice
+            told = self._controls.told
             self._keep(frame, Event("tool", name=tool.name if tool else ""))
             if tool is self._controls.tool:  # else it is told why it cannot be in hand
-                self._controls.tell(said)
+                self._controls.tell_as_before(told)
             timeline.untouch()  # what the tool of then held is let go
         for key in sorted(held ^ self._controls.held):
             self._keep(frame, Event("press" if key in held else "release", key=key))
@@ -135,7 +135,7 @@ class Travel:
 
     def _rerun(self, frame: int, events: list[LogEvent]) -> None:
         """Do the events of a frame again, and advance it."""
-        self._quiet, said = True, self._controls.notice
+        self._quiet, told = True, self._controls.told
         try:
             for event in events:
                 if self._controls.apply(event, replayed=True) == "reset":
@@ -145,4 +145,4 @@ class Travel:
             self._sim.advance(1)
         finally:
             self._quiet = False
-            self._controls.tell(said)  # not what was told then
+            self._controls.tell_as_before(told)  # not what was told then

@@ -82,8 +82,8 @@ class Hand:
     window: the map between the world and the window whose pixels events refer to.
     pointer: (2,) window pixels, where the pointer is; None before it moved.
     held: the names of the keys that are down, out of "ctrl" and the tool's modifiers.
-    notice: what to tell the user about what was done last; None: nothing.
     other: another run of the scene, beside the first, that the pointer is over; None: it is not.
+    told: what to tell the user, and how many such words there were: the same again is told again.
     """
 
     sim: Simulation
@@ -91,8 +91,17 @@ class Hand:
     window: WindowMap
     pointer: np.ndarray | None = None
     held: set[str] = field(default_factory=set)
-    notice: str | None = None
     other: Simulation | None = None
+    told: tuple[str | None, int] = None, 0
+
+    @property
+    def notice(self) -> str | None:
+        """What to tell the user about what was done last; None: nothing."""
+        return self.told[0]
+
+    @notice.setter
+    def notice(self, words: str | None) -> None:
+        self.told = words, self.told[1] + (words is not None)
 
     @property
     def seen(self) -> Simulation:
