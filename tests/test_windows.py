@@ -867,6 +867,8 @@ def test_r_goes_on_with_the_scene_as_its_edited_file_says_by_now():
 
 
 def test_a_reset_says_that_it_shortens_what_is_saved():
+    """By `--save` or `--export`, or by a script."""
+
     class Noted:
         frames = 0
 
@@ -875,11 +877,11 @@ def test_a_reset_says_that_it_shortens_what_is_saved():
 
     view = Script([], [], [press(key="f1")], [press(key="r")], [])
     app.run(simulation("blow"), view, trajectory=Noted(), device="test")
-    assert "r\tback to the start; --save begins anew" in words(view.pictures[3])
-    assert "forget 3 frames" in words(view.pictures[4])
+    assert "r\tback to the start; what is saved begins anew" in words(view.pictures[3])
+    assert "makes files forget 3 frames" in words(view.pictures[4])
     view = Script([], [press(key="r")], [])
     app.run(simulation("blow"), view, device="test")
-    assert "--save" not in words(view.pictures[-1])
+    assert "saved" not in words(view.pictures[-1])
 
 
 def test_events_come_in_order_with_the_last_of_several_moves():

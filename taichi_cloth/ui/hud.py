@@ -244,8 +244,8 @@ def _settings(sim: Simulation, device: str, *, windowed: bool) -> tuple[Word, ..
 
 
 def reset_notice(frames: int) -> str:
-    """What going back to the start does to `--save`, of which `frames` are noted."""
-    return f"back to the start: the next frame makes --save forget {counted(frames, 'frame')}"
+    """What going back to the start does to `--save` and `--export`, which have so many frames."""
+    return f"back to the start: the next frame makes files forget {counted(frames, 'frame')}"
 
 
 def _drags(tool: Tool[Any] | None, *, space: bool) -> list[str]:
@@ -277,7 +277,7 @@ def help_lines(
     """Every key and mouse action of this scene, as "key<tab>action".
 
     tool: the one in hand; None: the one that the pointer is from the start.
-    saves: whether the run keeps a trajectory, which a reset shortens.
+    saves: whether the run keeps a trajectory or an export, which a reset shortens.
     tied: whether there are springs now, also in a scene that came with none.
     file: whether going back to the start reads the scene's file anew.
     """
@@ -299,7 +299,7 @@ def help_lines(
         "q\tslow motion: half as fast, down to 1/16",
         "r\tback to the start"
         + ("; reads an edited file" if file else "")
-        + ("; --save begins anew" if saves else ""),
+        + ("; what is saved begins anew" if saves else ""),
         *(["d\tdraw surface, springs, particles"] if len(scene.triangles) else []),
         *(["e\tcolours of strain"] if tied or len(scene.springs) else []),
         "m\tmeters: the last 10 seconds",
