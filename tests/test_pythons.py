@@ -1,6 +1,7 @@
-"""The oldest and the newest Python that we say we run on, with what is the newest there.
+"""The oldest and the newest Python that we say we run on, with the newest of all that is needed.
 
-NumPy, SciPy and their types are of other versions on each, and so are `typing` and `inspect`.
+The oldest one also with the lowest versions that are promised. NumPy, SciPy and their types are of
+other versions on each, and so are `typing` and `inspect`.
 """
 
 import os
@@ -61,5 +62,9 @@ def test_the_oldest_and_the_newest_python_serve(version, tmp_path):
     inside = copy / ".venv" / ("Scripts" if sys.platform == "win32" else "bin")
     do(inside / "pip", "install", "-q", "-e", ".[test]")
     do(inside / "mypy")
+    if version == named()[0]:
+        lowest = subprocess.run([python, copy / "tests" / "lowest.py"], stdout=subprocess.PIPE)
+        (tmp_path / "lowest.txt").write_bytes(lowest.stdout)
+        do(inside / "pip", "install", "-q", "-c", tmp_path / "lowest.txt", "-e", ".[test]")
     do(inside / "pytest", "-q", *(f"tests/{name}.py" for name in FILES))
     do(inside / "taichi-cloth", "run", "cloth", "--headless", "--frames", 30)
