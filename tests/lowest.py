@@ -5,5 +5,6 @@ from pathlib import Path
 
 SETTINGS = Path(__file__).parents[1] / "pyproject.toml"
 
-for name, version in re.findall(r'"([\w-]+)(?:\[\w+\])?>=([\d.]+)', SETTINGS.read_text()):
+_, _, project = SETTINGS.read_text().partition("[project]")  # not what builds it
+for name, version in re.findall(r'"([\w-]+)(?:\[\w+\])?>=([\d.]+)', project):
     print(f"{name}=={version}")
