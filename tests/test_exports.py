@@ -219,14 +219,27 @@ def test_a_full_disk_is_a_line_and_leaves_nothing(tmp_path, monkeypatch):
         assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("name", ["a.pc2", "a.usda"])
+@pytest.mark.parametrize("back", [0, 1])
+def test_a_disk_that_is_full_as_a_run_goes_back_is_a_line_and_leaves_nothing(tmp_path, name, back):
+    """What was written is then often no further than memory."""
+    export, _ = recorded(tmp_path / name, 2)
+    export._writer._file.file = Full(export._writer._file.file)
+    with pytest.raises(InputError, match=rf"{name}: cannot be written: No space left on device"):
+        export.rewind(back)
+    assert not list(tmp_path.iterdir())
+
+
 class Full:
     """A file on a disk without room."""
 
     def __init__(self, file):
         self.closed, self.close = False, file.close
 
-    def write(self, data):
+    def write(self, *_):
         raise OSError(28, "No space left on device")
+
+    seek = truncate = write
 
 
 def test_a_scene_without_a_surface_and_particles_that_come_later(tmp_path):

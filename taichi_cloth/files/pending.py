@@ -68,6 +68,15 @@ class PendingFile:
             self.discard()
             raise refusal(self.path, error) from None
 
+    def cut(self, size: int) -> None:
+        """Have the file end after so many bytes, where `write` goes on; raises as that does."""
+        try:
+            self.file.seek(size)  # which writes what was not written yet
+            self.file.truncate()
+        except OSError as error:
+            self.discard()
+            raise refusal(self.path, error) from None
+
     def commit(self) -> None:
         """Finish the file and give it its name, in place of what was there. Once only."""
         if self.file.closed:

@@ -11,7 +11,7 @@ import struct
 from pathlib import Path
 
 from taichi_cloth.files.exports.frame import Clock, Frame
-from taichi_cloth.files.pending import PendingFile, refusal
+from taichi_cloth.files.pending import PendingFile
 
 HEADER = struct.Struct("<12siiffi")
 
@@ -25,8 +25,7 @@ class PointCache:
 
     def restart(self) -> None:
         self._samples, self._points, self._first = 0, 0, self._clock.every
-        self._file.file.seek(0)
-        self._file.file.truncate()
+        self._file.cut(0)
         self._file.write(self._header())
 
     def _header(self) -> bytes:
@@ -50,8 +49,7 @@ class PointCache:
     def rewind(self, frame: int) -> None:
         kept = (frame - self._first) // self._clock.every + 1
         self._samples = min(self._samples, kept)
-        self._file.file.truncate(self._size)
-        self._file.file.seek(self._size)
+        self._file.cut(self._size)
 
     @property
     def _size(self) -> int:
@@ -61,12 +59,8 @@ class PointCache:
     def finish(self) -> None:
         if self._file.file.closed:
             return
-        try:
-            self._file.file.truncate(self._size)  # an interrupt may have left a part of a sample
-            self._file.file.seek(0)
-        except OSError as error:
-            self._file.discard()
-            raise refusal(self._file.path, error) from None
+        self._file.cut(self._size)  # an interrupt may have left a part of a sample
+        self._file.file.seek(0)
         self._file.write(self._header())
         self._file.commit()
 

@@ -36,8 +36,7 @@ class Stage:
         self._extents: list[np.ndarray] = []
         self._faces: list[tuple[int, np.ndarray]] = []  # from a frame on
         self._sizes: list[int] = []  # of the text up to each frame's end
-        self._file.file.seek(0)
-        self._file.file.truncate()
+        self._file.cut(0)
 
     def rewind(self, frame: int) -> None:
         kept = sum(number <= frame for number in self._frames)
@@ -47,8 +46,7 @@ class Stage:
 
     def _cut(self) -> None:
         """Let the text end with the last frame: an interrupt may have left a part of one."""
-        self._file.file.seek(self._sizes[-1])
-        self._file.file.truncate()
+        self._file.cut(self._sizes[-1])
 
     def add(self, frame: Frame) -> None:
         points = frame.position.astype(np.float32)
