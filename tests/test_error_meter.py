@@ -351,6 +351,31 @@ def test_a_verdict_that_comes_after_the_run_went_back_is_shown_where_it_is_of(ch
         sim.restore(there)
 
 
+@pytest.mark.parametrize("few", [0, meters.FEW])
+def test_nothing_of_a_run_is_shown_in_the_one_before_its_reset(chain, few, monkeypatch):
+    """To which a timeline goes back: it is at frames that the run since then has not come to."""
+    monkeypatch.setattr(meters, "FEW", few)
+    sim = chain.sim
+    there = sim.checkpoint()
+    sim.reset()
+    meter = Here(sim)
+    try:
+        sim.advance(33)
+        before = sim.checkpoint()
+        sim.reset()
+        sim.advance(23)
+        present = sim.checkpoint()
+        meter.recent = recent = [Verdict(0, 15, error=1.0, scale=9.0)]
+        meter.ghost = ghost = Ghost.read(chain.folder / GHOST, chain.window)
+        sim.restore(present)
+        assert meter.recent == recent and meter.ghost is ghost
+        sim.restore(before)
+        assert (meter.recent, meter.ghost) == ([], None)
+    finally:
+        meter.close()
+        sim.restore(there)
+
+
 def test_of_many_particles_what_is_of_another_run_is_forgotten_up_to_where_it_was_seen(
     chain, monkeypatch
 ):

@@ -148,13 +148,16 @@ class ErrorMeter(Listener):
             self._end(shown=name not in LEAVES)
         with self._lock:
             if name in LEAVES:
-                self.recent, self._judged, self.ghost, self._trail = [], None, None, {}
+                self._forget()
             elif name == "remove":
                 self.ghost, self._haunts = None, False
 
     def after_act(self, name: str, args: tuple[Any, ...], given: Mapping[str, Any]) -> None:
         """Note what was done."""
         if name == "restore":
+            if self._is_beyond():
+                with self._lock:
+                    self._forget()
             self._follow()
         elif self._window is not None:
             self._window.note_act(name, args, given)
@@ -182,11 +185,26 @@ class ErrorMeter(Listener):
         if self._window is None and not (self.busy or self.resting):
             self._open()
 
+    def _forget(self) -> None:
+        """Know nothing of the run, which is another one than was shown."""
+        self.recent, self._judged, self.ghost, self._trail = [], None, None, {}
+
+    def _is_beyond(self) -> bool:
+        """Whether the run is beyond all that it showed, as one is that was left by a reset, or
+        where it went another way.
+        """
+        frame = self._sim.frame
+        return frame - frame % self._stride > max(self._trail, default=frame)
+
+    @property
+    def _stride(self) -> int:
+        return 1 if self._sim.particle_count <= FEW else STRIDE
+
     def _follow(self) -> None:
         """Note what is shown; where that was otherwise at this frame before, the run went back and
         goes another way: forget what is of the other one from here on.
         """
-        frame, stride = self._sim.frame, 1 if self._sim.particle_count <= FEW else STRIDE
+        frame, stride = self._sim.frame, self._stride
         if frame % stride:
             return
         shown = zlib.crc32(self._sim.drawn_positions().tobytes())
