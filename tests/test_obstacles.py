@@ -761,6 +761,32 @@ def test_no_face_ends_deep_in_what_its_path_met_elsewhere(device):
     assert sim.unsettled_faces() == 0
 
 
+def test_a_face_whose_fixed_corner_an_obstacle_leaves_is_not_tested_in_that_step(device):
+    """Though it ends deep inside, and with its corner outside: the next step takes it out."""
+    ends = Particles.build(
+        [[5.0, 1.0, 0.0], [5.05, 1.0, 0.0], [5.0, 1.0, 0.05]],
+        fixed=[True, False, False],
+        radius=0.002,
+        mass=0.001,
+    )
+    moves = {"centre": [5.0, 1.005, 0.0], "velocity": [1.2, 0.0, 0.0]}
+    world = World((10.0, 10.0, 10.0), (0.0, 0.0, 0.0), dt=1 / 60, up="y")
+    scene = Scene(
+        "held",
+        world,
+        ends,
+        Springs.none(),
+        triangles=np.array([[0, 1, 2]]),
+        obstacles=(Obstacle.build("sphere", radius=0.015, **moves),),
+    )
+    sim = Simulation(scene, substeps=1, topology="graph", execution="serial")
+    sim.advance()
+    np.testing.assert_array_equal(sim.positions(), ends.position)
+    assert sim.unsettled_faces() == 0 and deepest_face(sim) > UNSETTLED * 0.017
+    sim.advance()
+    assert deepest_face(sim) < 1e-3
+
+
 def through_from_start(scene):
     """Which of a scene's elements begin through an obstacle, (m,) bool."""
     every = np.ones(len(scene.elements), bool)

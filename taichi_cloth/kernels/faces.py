@@ -363,8 +363,8 @@ def _meet(spec: ti.template(), state: ti.template(), o, m, piece):
         if looks == 0:
             low -= radii.max()
             clear = face_clearance.of_looked_at(spec, state, o, low, way, room, slack)
-        if held == 1:
-            gap, going = 0.0 * gap, False
+        if held == 1:  # wherever on its way: nothing of it is tested
+            gap, end_gap, deep, going = 0.0 * gap, 0.0 * gap, 0.0 * gap, False
         else:
             if looks == 0:
                 gap, best_share, best_n = here, share, n
