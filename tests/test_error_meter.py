@@ -351,6 +351,20 @@ def test_a_verdict_that_comes_after_the_run_went_back_is_shown_where_it_is_of(ch
         sim.restore(there)
 
 
+def test_the_last_verdict_is_one_that_was_there_as_it_was_asked_for(chain):
+    """Another thread may put one in its place meanwhile that ends beyond what is shown."""
+    verdicts = [[chain.verdict], []]
+
+    class Replaced(Here):
+        shown = property(lambda _: verdicts.pop(0))
+
+    meter = Replaced(chain.sim)
+    try:
+        assert meter.last is chain.verdict and meter.last is None
+    finally:
+        meter.close()
+
+
 @pytest.mark.parametrize("few", [0, meters.FEW])
 def test_nothing_of_a_run_is_shown_in_the_one_before_its_reset(chain, few, monkeypatch):
     """To which a timeline goes back: it is at frames that the run since then has not come to."""

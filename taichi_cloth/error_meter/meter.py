@@ -111,7 +111,8 @@ class ErrorMeter(Listener):
     @property
     def last(self) -> Verdict | None:
         """The latest verdict before what is shown; None: the run was elsewhere then, or none is."""
-        return self.shown[-1] if self.shown else None
+        shown = self.shown  # read once: the other thread may put a verdict in place of these
+        return shown[-1] if shown else None
 
     @property
     def shown(self) -> list[Verdict]:
