@@ -573,6 +573,7 @@ def test_a_simulation_of_an_earlier_start_is_refused(device, monkeypatch):
     for call in calls:
         with pytest.raises(InputError, match="'oscillator' is gone with the start of Taichi"):
             call()
+    assert repr(sim) == "<Simulation: 'oscillator', gone with the start of Taichi>"
     monkeypatch.undo()
     sim.advance()
 

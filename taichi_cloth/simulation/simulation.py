@@ -17,7 +17,7 @@ from taichi_cloth.kernels import methods
 from taichi_cloth.kernels.methods.contract import Method
 from taichi_cloth.kernels.state import WORK
 from taichi_cloth.limits.precision import refuse_unholdable
-from taichi_cloth.runtime import current_device
+from taichi_cloth.runtime import current_device, still_runs
 from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.model import Particles, Scene, Springs
 from taichi_cloth.scene.properties import PARTICLE_PROPERTIES
@@ -151,7 +151,11 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         self.reset()
 
     def __repr__(self) -> str:
-        """What a prompt shows of it: how far it is, of how much, and how it is run."""
+        """What a prompt shows of it: how far it is, of how much, and how it is run; that it is gone
+        with its start of Taichi, where reading it would raise: no debugger or log expects that.
+        """
+        if not still_runs(self._launcher.device):
+            return f"<Simulation: {self.scene.name!r}, gone with the start of Taichi>"
         much = f"{counted(self.particle_count, 'particle')}, {counted(self.spring_count, 'spring')}"
         run = f"{self.method} in {self._launcher.device.precision}, {self.way}"
         step = f"dt {self.dt:g} in {counted(self.substeps, 'substep')}"
