@@ -285,70 +285,67 @@ def test_the_ghost_is_where_the_reference_is(chain):
         sim.advance(FRAMES)
 
 
-def test_a_ghost_goes_with_the_run_it_is_of(chain):
+@pytest.fixture
+def meter(chain):
+    """One that judges nothing, on the chain at its start; that stands afterwards where it was."""
+    there = chain.sim.checkpoint()
+    chain.sim.reset()
+    meter = Here(chain.sim)
+    yield meter
+    meter.close()
+    chain.sim.restore(there)
+
+
+def test_a_ghost_goes_with_the_run_it_is_of(chain, meter):
     """Back in the same run it stays; where that goes another way, it is forgotten."""
     sim = chain.sim
-    meter = Here(sim)
-    try:
-        there = sim.checkpoint()
-        sim.reset()
-        meter.ghost = ghost = Ghost.read(chain.folder / GHOST, chain.window)
-        sim.advance(20)
-        middle = sim.checkpoint()
-        sim.advance(FRAMES - 15)
-        meter.recent = [Verdict(0, 15, error=1.0, scale=9.0), chain.verdict]
-        assert meter.last is chain.verdict
-        sim.restore(middle)
-        assert meter.last is meter.recent[0] and meter.age == 5
-        sim.advance(FRAMES - 15)
-        assert meter.ghost is ghost and meter.last is chain.verdict
-        sim.restore(middle)
-        sim.pin([3])
-        sim.advance(2)
-        assert meter.ghost is None and meter.recent == [meter.last]
-        sim.advance(FRAMES - 17)
-        assert meter.recent == [meter.last] and meter.age == FRAMES - 10
-        meter.ghost = ghost
-        sim.reset()
-        assert meter.ghost is None
-    finally:
-        meter.close()
-        sim.restore(there)
+    meter.ghost = ghost = Ghost.read(chain.folder / GHOST, chain.window)
+    sim.advance(20)
+    middle = sim.checkpoint()
+    sim.advance(FRAMES - 15)
+    meter.recent = [Verdict(0, 15, error=1.0, scale=9.0), chain.verdict]
+    assert meter.last is chain.verdict
+    sim.restore(middle)
+    assert meter.last is meter.recent[0] and meter.age == 5
+    sim.advance(FRAMES - 15)
+    assert meter.ghost is ghost and meter.last is chain.verdict
+    sim.restore(middle)
+    sim.pin([3])
+    sim.advance(2)
+    assert meter.ghost is None and meter.recent == [meter.last]
+    sim.advance(FRAMES - 17)
+    assert meter.recent == [meter.last] and meter.age == FRAMES - 10
+    meter.ghost = ghost
+    sim.reset()
+    assert meter.ghost is None
 
 
-def test_a_verdict_that_comes_after_the_run_went_back_is_shown_where_it_is_of(chain):
+def test_a_verdict_that_comes_after_the_run_went_back_is_shown_where_it_is_of(chain, meter):
     """At its second's end, once one is there again; where the run goes another way, it is not."""
     sim = chain.sim
-    there = sim.checkpoint()
-    sim.reset()
-    meter = Here(sim)
-    try:
-        sim.advance(20)
-        middle = sim.checkpoint()
-        sim.advance(FRAMES - 15)
-        present = sim.checkpoint()
-        meter._task.join()
-        (window,) = meter.windows
-        sim.restore(middle)
-        whole = replace(chain.verdict, solver=0.1)
-        for verdict in chain.verdict, whole:  # what its error comes from is told later
-            meter._show(window, verdict)
-            assert meter.last is None and meter.recent == [verdict]
-        sim.restore(present)  # it was only looked at
-        assert meter.last is whole and meter.age == 5
-        sim.restore(middle)
-        sim.advance(FRAMES - 20)
-        assert meter.last is whole and meter.age == 0
-        sim.restore(middle)
-        sim.pin([3])
-        meter._judged = window  # as if it were still being judged
-        sim.advance(1)
-        meter._show(window, whole)
-        sim.advance(FRAMES)
-        assert meter.last is None
-    finally:
-        meter.close()
-        sim.restore(there)
+    sim.advance(20)
+    middle = sim.checkpoint()
+    sim.advance(FRAMES - 15)
+    present = sim.checkpoint()
+    meter._task.join()
+    (window,) = meter.windows
+    sim.restore(middle)
+    whole = replace(chain.verdict, solver=0.1)
+    for verdict in chain.verdict, whole:  # what its error comes from is told later
+        meter._show(window, verdict)
+        assert meter.last is None and meter.recent == [verdict]
+    sim.restore(present)  # it was only looked at
+    assert meter.last is whole and meter.age == 5
+    sim.restore(middle)
+    sim.advance(FRAMES - 20)
+    assert meter.last is whole and meter.age == 0
+    sim.restore(middle)
+    sim.pin([3])
+    meter._judged = window  # as if it were still being judged
+    sim.advance(1)
+    meter._show(window, whole)
+    sim.advance(FRAMES)
+    assert meter.last is None
 
 
 def test_the_last_verdict_is_one_that_was_there_as_it_was_asked_for(chain):
@@ -366,54 +363,40 @@ def test_the_last_verdict_is_one_that_was_there_as_it_was_asked_for(chain):
 
 
 @pytest.mark.parametrize("few", [0, meters.FEW])
-def test_nothing_of_a_run_is_shown_in_the_one_before_its_reset(chain, few, monkeypatch):
+def test_nothing_of_a_run_is_shown_in_the_one_before_its_reset(chain, meter, few, monkeypatch):
     """To which a timeline goes back: it is at frames that the run since then has not come to."""
-    monkeypatch.setattr(meters, "FEW", few)
     sim = chain.sim
-    there = sim.checkpoint()
+    monkeypatch.setattr(meters, "FEW", few)
+    sim.advance(33)
+    before = sim.checkpoint()
     sim.reset()
-    meter = Here(sim)
-    try:
-        sim.advance(33)
-        before = sim.checkpoint()
-        sim.reset()
-        sim.advance(23)
-        present = sim.checkpoint()
-        meter.recent = recent = [Verdict(0, 15, error=1.0, scale=9.0)]
-        meter.ghost = ghost = Ghost.read(chain.folder / GHOST, chain.window)
-        sim.restore(present)
-        assert meter.recent == recent and meter.ghost is ghost
-        sim.restore(before)
-        assert (meter.recent, meter.ghost) == ([], None)
-    finally:
-        meter.close()
-        sim.restore(there)
+    sim.advance(23)
+    present = sim.checkpoint()
+    meter.recent = recent = [Verdict(0, 15, error=1.0, scale=9.0)]
+    meter.ghost = ghost = Ghost.read(chain.folder / GHOST, chain.window)
+    sim.restore(present)
+    assert meter.recent == recent and meter.ghost is ghost
+    sim.restore(before)
+    assert (meter.recent, meter.ghost) == ([], None)
 
 
 def test_of_many_particles_what_is_of_another_run_is_forgotten_up_to_where_it_was_seen(
-    chain, monkeypatch
+    chain, meter, monkeypatch
 ):
     """Each fifth frame is looked at: between, the run may have gone another way already."""
-    sim = chain.sim
     monkeypatch.setattr(meters, "FEW", 0)
-    there = sim.checkpoint()
-    sim.reset()
-    meter = Here(sim)
-    try:
-        sim.advance(20)
-        middle = sim.checkpoint()
-        sim.advance(10)
-        known = [Verdict(first, 15, error=1.0, scale=9.0) for first in (5, 8, 12)]
-        sim.restore(middle)
-        sim.advance(5)
-        meter.recent = list(known)
-        sim.restore(middle)
-        sim.pin([3])
-        sim.advance(5)
-        assert meter.recent == known[:1]
-    finally:
-        meter.close()
-        sim.restore(there)
+    sim = chain.sim
+    sim.advance(20)
+    middle = sim.checkpoint()
+    sim.advance(10)
+    known = [Verdict(first, 15, error=1.0, scale=9.0) for first in (5, 8, 12)]
+    sim.restore(middle)
+    sim.advance(5)
+    meter.recent = list(known)
+    sim.restore(middle)
+    sim.pin([3])
+    sim.advance(5)
+    assert meter.recent == known[:1]
 
 
 @pytest.mark.parametrize("act", ["reset", "remove", "set_step"])
