@@ -13,7 +13,8 @@ from taichi_cloth.errors import InputError
 from taichi_cloth.files.events import Recorder
 from taichi_cloth.scene import library
 from taichi_cloth.scene.cloth import grid_triangles
-from taichi_cloth.scene.model import FIXED_COLOR, Particles, Scene, World
+from taichi_cloth.scene.model import Particles, Scene, World
+from taichi_cloth.scene.palette import FIXED_COLOR
 from taichi_cloth.settings.options import shown_parts
 from taichi_cloth.ui import app, interaction, shown, style, surfaces
 from taichi_cloth.ui.camera import Camera

@@ -18,8 +18,6 @@ from taichi_cloth.scene.assignments import read
 from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.cloth import grid, grid_triangles
 from taichi_cloth.scene.model import (
-    FABRIC_COLOR,
-    FIXED_COLOR,
     MOUSE_MODES,
     WALLS,
     ParticleDefaults,
@@ -30,6 +28,7 @@ from taichi_cloth.scene.model import (
     World,
 )
 from taichi_cloth.scene.obstacles import Obstacle
+from taichi_cloth.scene.palette import FABRIC_COLOR, FIXED_COLOR
 from taichi_cloth.scene.properties import BREAK_IN, PARTICLE_PROPERTIES, SPRING_PROPERTIES
 from taichi_cloth.scene.triangles import springs_of_sides
 from taichi_cloth.scene.world_keys import world_keys

@@ -28,7 +28,8 @@ from taichi_cloth import runtime
 from taichi_cloth.errors import InputError
 from taichi_cloth.files import trajectory as trajectories
 from taichi_cloth.scene import library
-from taichi_cloth.scene.model import COLOR_CYCLE, Particles, Scene, Springs, World
+from taichi_cloth.scene.model import Particles, Scene, Springs, World
+from taichi_cloth.scene.palette import COLOR_CYCLE
 from taichi_cloth.simulation.diagnostics import Work
 from taichi_cloth.ui import app, hud, style, text, tools, x11
 from taichi_cloth.ui.camera import Camera

@@ -13,15 +13,8 @@ import numpy as np
 
 from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.scene.material import Material
-from taichi_cloth.scene.model import (
-    CLOTH_COLOR,
-    FABRIC_COLOR,
-    FIXED_COLOR,
-    ParticleDefaults,
-    Particles,
-    SpringDefaults,
-    Springs,
-)
+from taichi_cloth.scene.model import ParticleDefaults, Particles, SpringDefaults, Springs
+from taichi_cloth.scene.palette import CLOTH_COLOR, FABRIC_COLOR, FIXED_COLOR
 from taichi_cloth.scene.properties import SPRING_PROPERTIES
 from taichi_cloth.scene.stencils import Stencils
 from taichi_cloth.scene.triangles import masses

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
+
+from taichi_cloth.errors import counted
 
 
 class ByValue:
@@ -19,6 +21,21 @@ class ByValue:
             return NotImplemented
         compared = [field.name for field in fields(self) if field.compare]  # type: ignore[arg-type]
         return all(_equal(getattr(self, name), getattr(other, name)) for name in compared)
+
+
+class Table(ByValue):
+    """Arrays of a row each for what there are several of; at a prompt it says how many.
+
+    ONE: what one of them is called.
+    """
+
+    ONE: ClassVar[str]
+
+    def __len__(self) -> int:
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        return f"<{counted(len(self), self.ONE)}>"
 
 
 def _equal(one: Any, other: Any) -> bool:

@@ -15,14 +15,8 @@ from taichi_cloth.errors import InputError, counted
 from taichi_cloth.files import meshes
 from taichi_cloth.files.meshes.surface import LARGEST_COORDINATE, Surface
 from taichi_cloth.scene.material import Material
-from taichi_cloth.scene.model import (
-    FABRIC_COLOR,
-    FIXED_COLOR,
-    ParticleDefaults,
-    Particles,
-    SpringDefaults,
-    Springs,
-)
+from taichi_cloth.scene.model import ParticleDefaults, Particles, SpringDefaults, Springs
+from taichi_cloth.scene.palette import FABRIC_COLOR, FIXED_COLOR
 from taichi_cloth.scene.properties import SPRING_PROPERTIES
 from taichi_cloth.scene.triangles import areas
 from taichi_cloth.settings import accepted

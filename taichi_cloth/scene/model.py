@@ -21,10 +21,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from taichi_cloth.errors import InputError, counted
-from taichi_cloth.scene.equality import ByValue
+from taichi_cloth.scene.equality import ByValue, Table
 from taichi_cloth.scene.features import Features
 from taichi_cloth.scene.holding import Hold
 from taichi_cloth.scene.obstacles import CONTACTS, Obstacle
+from taichi_cloth.scene.palette import FIXED_COLOR, PARTICLE_COLOR
 from taichi_cloth.scene.properties import (
     PARTICLE_PROPERTIES,
     SPRING_PROPERTIES,
@@ -52,18 +53,6 @@ WALLS = {
 }
 MOUSE_MODES = ("none", "blow", "spawn")
 UPWARD = ("", "y")
-PARTICLE_COLOR = (220, 60, 60)
-CLOTH_COLOR = (0, 255, 0)  # of a cloth's particles, as in the first program
-FABRIC_COLOR = (88, 136, 196)  # of cloths in space, which are drawn as surfaces
-FIXED_COLOR = (128, 128, 128)
-COLOR_CYCLE = (  # colours of spawned particles, in turn
-    (232, 66, 66),  # red
-    (224, 84, 214),  # magenta
-    (82, 122, 250),  # blue
-    (64, 204, 220),  # cyan
-    (84, 200, 104),  # green
-    (242, 206, 74),  # yellow
-)
 
 
 def _take_plain(of: World | ParticleDefaults | SpringDefaults, names: Iterable[str]) -> None:
@@ -239,7 +228,7 @@ class _Motion:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Particles(ByValue, ParticleProperties[np.ndarray], _Motion):
+class Particles(Table, ParticleProperties[np.ndarray], _Motion):
     """State and properties of n particles, one row each; lengths in world units.
 
     position, velocity: (n, dim) float64; mass, radius and the other numbers of
@@ -247,6 +236,7 @@ class Particles(ByValue, ParticleProperties[np.ndarray], _Motion):
     color: (n, 3) uint8.
     """
 
+    ONE = "particle"
     fixed: np.ndarray = field(kw_only=True)
     color: np.ndarray = field(kw_only=True)
 
@@ -261,10 +251,6 @@ class Particles(ByValue, ParticleProperties[np.ndarray], _Motion):
 
     def __len__(self) -> int:
         return len(self.position)
-
-    def __repr__(self) -> str:
-        """What a prompt or a notebook's cell shows of them: not their arrays."""
-        return f"<{counted(len(self), 'particle')}>"
 
     @classmethod
     def build(
@@ -319,11 +305,13 @@ class _Ends:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Springs(ByValue, SpringProperties[np.ndarray, np.ndarray, np.ndarray], _Ends):
+class Springs(Table, SpringProperties[np.ndarray, np.ndarray, np.ndarray], _Ends):
     """Springs between pairs of particles: between (s, 2) int64, the numbers (s,) float64.
 
     break_force is inf for an unbreakable spring. break_in: (s,) str, "both" or "tension".
     """
+
+    ONE = "spring"
 
     def __post_init__(self) -> None:
         _refuse_single_values(self, SPRING_PROPERTIES)
@@ -331,10 +319,6 @@ class Springs(ByValue, SpringProperties[np.ndarray, np.ndarray, np.ndarray], _En
 
     def __len__(self) -> int:
         return len(self.between)
-
-    def __repr__(self) -> str:
-        """What a prompt or a notebook's cell shows of them: not their arrays."""
-        return f"<{counted(len(self), 'spring')}>"
 
     @classmethod
     def build(

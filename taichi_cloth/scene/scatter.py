@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from taichi_cloth.errors import InputError
-from taichi_cloth.scene.model import COLOR_CYCLE, ParticleDefaults, Particles, World
+from taichi_cloth.scene.model import ParticleDefaults, Particles, World
+from taichi_cloth.scene.palette import COLOR_CYCLE
 
 # Velocities of spawned particles are drawn from these ranges [world units per unit of time].
 VELOCITY_LOW = (-10.0, -10.0, 0.0)

@@ -23,8 +23,9 @@ from taichi_cloth.files.pending import PendingFile
 from taichi_cloth.scene import toml
 from taichi_cloth.scene.assignments import Assignment
 from taichi_cloth.scene.checks import validate
-from taichi_cloth.scene.model import FIXED_COLOR, PARTICLE_COLOR, Scene
+from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.obstacles import Obstacle, usual_contact
+from taichi_cloth.scene.palette import FIXED_COLOR, PARTICLE_COLOR
 from taichi_cloth.scene.properties import PARTICLE_PROPERTIES, SPRING_PROPERTIES, WorldValue
 from taichi_cloth.scene.reading import Table
 from taichi_cloth.scene.tables import SceneReader

@@ -25,8 +25,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taichi_cloth.errors import InputError, counted
-from taichi_cloth.scene.equality import ByValue
+from taichi_cloth.errors import InputError
+from taichi_cloth.scene.equality import Table
 from taichi_cloth.scene.triangles import springs_tying
 from taichi_cloth.settings import accepted
 
@@ -45,7 +45,7 @@ LEAST_RECOVERED = 0.3
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Stencils(ByValue):
+class Stencils(Table):
     """m stencils, of any number of particles each.
 
     start: (m + 1,) int64, where each stencil's particles begin.
@@ -55,6 +55,7 @@ class Stencils(ByValue):
     bending: (m,) float64, the rigidity B [force * length].
     """
 
+    ONE = "stencil"
     start: np.ndarray
     particle: np.ndarray
     weight: np.ndarray
@@ -66,10 +67,6 @@ class Stencils(ByValue):
 
     def __len__(self) -> int:
         return len(self.bending)
-
-    def __repr__(self) -> str:
-        """What a prompt or a notebook's cell shows of them: not their arrays."""
-        return f"<{counted(len(self), 'stencil')}>"
 
     @classmethod
     def none(cls) -> Stencils:

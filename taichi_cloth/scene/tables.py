@@ -15,9 +15,7 @@ from taichi_cloth.errors import counted, nearest
 from taichi_cloth.scene import cloth_tables, mesh_tables, toml
 from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.model import (
-    FIXED_COLOR,
     MOUSE_MODES,
-    PARTICLE_COLOR,
     WALLS,
     ParticleDefaults,
     Particles,
@@ -27,6 +25,7 @@ from taichi_cloth.scene.model import (
     World,
 )
 from taichi_cloth.scene.obstacles import Obstacle, usual_contact
+from taichi_cloth.scene.palette import FIXED_COLOR, PARTICLE_COLOR
 from taichi_cloth.scene.properties import (
     PARTICLE_PROPERTIES,
     SPRING_PROPERTIES,

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from taichi_cloth.scene.model import FIXED_COLOR, Scene
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.scene.palette import FIXED_COLOR
 
 # What the key goes through, in turn.
 CHOICES = (

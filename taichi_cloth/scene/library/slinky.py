@@ -7,7 +7,6 @@ from typing import Annotated
 import numpy as np
 
 from taichi_cloth.scene.model import (
-    COLOR_CYCLE,
     ParticleDefaults,
     Particles,
     Scene,
@@ -15,6 +14,7 @@ from taichi_cloth.scene.model import (
     Springs,
     World,
 )
+from taichi_cloth.scene.palette import COLOR_CYCLE
 from taichi_cloth.settings.parameters import Parameter
 
 MASS = 1.0

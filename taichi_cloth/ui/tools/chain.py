@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taichi_cloth.files.events import flag, numbers, so_many_indices
-from taichi_cloth.scene.model import COLOR_CYCLE, FIXED_COLOR, Scene
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.scene.palette import COLOR_CYCLE, FIXED_COLOR
 from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.tools.contract import (
     OUTSIDE,

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taichi_cloth.files.events import indices
-from taichi_cloth.scene.model import FIXED_COLOR, PARTICLE_COLOR, Scene
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.scene.palette import FIXED_COLOR, PARTICLE_COLOR
 from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.tools.contract import Events, Hand, LoggedEvent, Marks, Tool, ToolEvent
 

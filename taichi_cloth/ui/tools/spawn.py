@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taichi_cloth.scene.model import COLOR_CYCLE, FIXED_COLOR, Scene
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.scene.palette import COLOR_CYCLE, FIXED_COLOR
 from taichi_cloth.scene.scatter import VELOCITY_HIGH, VELOCITY_LOW
 from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.tools.contract import OUTSIDE, Hand, Tool, prepared, usual, usual_radius
