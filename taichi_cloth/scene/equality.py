@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sized
 from dataclasses import fields
 from typing import Any, ClassVar
 
@@ -23,16 +24,13 @@ class ByValue:
         return all(_equal(getattr(self, name), getattr(other, name)) for name in compared)
 
 
-class Table(ByValue):
+class Rows(ByValue, Sized):
     """Arrays of a row each for what there are several of; at a prompt it says how many.
 
     ONE: what one of them is called.
     """
 
     ONE: ClassVar[str]
-
-    def __len__(self) -> int:
-        raise NotImplementedError
 
     def __repr__(self) -> str:
         return f"<{counted(len(self), self.ONE)}>"

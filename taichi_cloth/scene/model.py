@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from taichi_cloth.errors import InputError, counted
-from taichi_cloth.scene.equality import ByValue, Table
+from taichi_cloth.scene.equality import ByValue, Rows
 from taichi_cloth.scene.features import Features
 from taichi_cloth.scene.holding import Hold
 from taichi_cloth.scene.obstacles import CONTACTS, Obstacle
@@ -228,7 +228,7 @@ class _Motion:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Particles(Table, ParticleProperties[np.ndarray], _Motion):
+class Particles(Rows, ParticleProperties[np.ndarray], _Motion):
     """State and properties of n particles, one row each; lengths in world units.
 
     position, velocity: (n, dim) float64; mass, radius and the other numbers of
@@ -305,7 +305,7 @@ class _Ends:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Springs(Table, SpringProperties[np.ndarray, np.ndarray, np.ndarray], _Ends):
+class Springs(Rows, SpringProperties[np.ndarray, np.ndarray, np.ndarray], _Ends):
     """Springs between pairs of particles: between (s, 2) int64, the numbers (s,) float64.
 
     break_force is inf for an unbreakable spring. break_in: (s,) str, "both" or "tension".

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taichi_cloth.errors import InputError
-from taichi_cloth.scene.equality import Table
+from taichi_cloth.scene.equality import Rows
 from taichi_cloth.scene.triangles import springs_tying
 from taichi_cloth.settings import accepted
 
@@ -45,7 +45,7 @@ LEAST_RECOVERED = 0.3
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Stencils(Table):
+class Stencils(Rows):
     """m stencils, of any number of particles each.
 
     start: (m + 1,) int64, where each stencil's particles begin.
