@@ -101,6 +101,29 @@ def test_settings_are_set_by_mouse_and_keys_and_noted(sim):
     assert not hands.panel.focused
 
 
+def test_up_and_down_choose_rows_as_soon_as_the_settings_are_open(sim):
+    """Also in the turn that opened them, and after a click elsewhere; closed, both zoom."""
+    size = 900, 600
+    place = arrange(size, Parts(bar=True, strip=1, columns=("settings",))).columns["settings"]
+    first = Event("press", pos=(place.x + 20, place.y + 5), button="left")
+    beside = Event("press", pos=(300.0, 300.0), button="left")
+
+    def foot(*keys):
+        window, panels = Pressed(sim.scene.world, (keys, [])), []
+        window.size, window.look = size, None
+        window.draw = lambda picture: panels.extend(picture.overlay)
+        app.run(sim, window, quiet=True, device="test")
+        said = [panel.words for panel in panels if "cost now" in panel.words]
+        assert said or window.look
+        return said[-1].splitlines()[-2:] if said else window.look.zoom
+
+    none, clicked, last = foot("o"), foot("o", first), foot("o", "up")
+    assert foot("o", "down") == foot("o", "down", beside, "down") == clicked
+    assert foot("o", "up", "down") == clicked and none != last != clicked != none
+    assert foot("o", "down", "escape") == foot("o", "down", beside) == none
+    assert foot("up") > 1 > foot("down")
+
+
 def test_escape_closes_a_list_with_the_row_that_opened_it(sim):
     hands = Hands(sim)
 

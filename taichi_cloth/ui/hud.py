@@ -291,7 +291,7 @@ def help_lines(
     lines.append(f"f\t{what[0] if scene.world.dim == 3 else what[1]}")
     lines.append("z\tback to the view before")
     lines += [
-        "o\tsettings, live",
+        "o\tsettings, live; up down: choose one, left right: change it",
         "l\tthe last 10 seconds, to go through",
         ("p" if tool and "space" in tool.modifiers else "space, p") + "\tpause and go on",
         ".  or right arrow\tone frame, while paused",

@@ -135,7 +135,7 @@ class Chrome:
         placed = self._placed(layout)
         if event.pos is None:
             for part, rect in placed:
-                if part.focused and part.take(event, rect, layout.text):
+                if part.take(event, rect, layout.text):
                     return None
             return event
         for part, rect in placed:

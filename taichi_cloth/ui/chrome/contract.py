@@ -15,7 +15,8 @@ class Part(Protocol):
     """Something that is opened and closed by a key, and drawn beside the world.
 
     name: the command of its key. label: the word for it in the tool bar. key: that opens and closes
-    it. place: `COLUMN` or `ROW`. focused: whether keys are first its own.
+    it. place: `COLUMN` or `ROW`. focused: whether something in it is chosen; a press elsewhere ends
+    that.
     """
 
     name: str
@@ -33,6 +34,6 @@ class Part(Protocol):
     def take(self, event: Event, rect: Rect, height: int) -> bool:
         """React to an event in its rectangle, or to one of a drag that began there.
 
-        Returns whether the pointer is its own until the button is released, or, where it is
-        `focused`, whether a key means something to it.
+        Keys come from anywhere while it is open. Returns whether the pointer is its own until the
+        button is released, or whether a key means something to it.
         """

@@ -2,7 +2,7 @@
 
 Made from `simulation.live`. By mouse: drag a slider, click a switch, click a choice for its list
 and a word of that, turn the wheel to scroll, click twice for the scene's own value. By keys: up and
-down go from row to row, left and right change, return unfolds a choice and takes a word of it,
+down go from row to row, also where none is chosen yet, left and right change, return unfolds a choice and takes a word of it,
 digits and return set a number, backspace takes one away, delete goes back to the scene's value.
 """
 
@@ -47,7 +47,7 @@ UNFOLDING = (SCENE, METHOD, HOLD)
 MOST_BLOCKS = 500  # pictures of rows that are kept
 FOOT = 4  # lines of the foot at least
 NOTHING_HELD = "nothing is held: click, and choose"
-HINT = "click a setting; twice: the scene's own value; ~ is predicted, ? unknown"
+HINT = "click a setting, or press down; click twice for the scene's own value; ~: predicted"
 
 
 class SettingsPanel:
@@ -244,7 +244,8 @@ class SettingsPanel:
     # --- what is done ----------------------------------------------------------------------
 
     def take(self, event: Event, rect: Rect, height: int) -> bool:
-        """React to the pointer in the panel, and to keys where it has the keyboard."""
+        """React to the pointer in the panel, and to keys that mean something to it."""
+        self._read(rect.width, height)  # it may have been opened since the last picture
         if event.key is not None:
             used = self._uses(event.key)
             if used and event.kind == "press":
@@ -296,10 +297,12 @@ class SettingsPanel:
             self._set(row.setting, rows.at(row.setting, (pos[0] - rect.x - first) / wide))
 
     def _uses(self, key: str) -> bool:
-        """Whether a key means something to the chosen row; all others are the window's."""
-        row = self._row(self._chosen)
-        if row is None or key in ("escape", "up", "down"):
+        """Whether a key means something to the panel; all others are the window's."""
+        if key in ("up", "down"):
             return True
+        row = self._row(self._chosen)
+        if row is None or key == "escape":
+            return self.focused
         if row.option or row.name in (SCENE, HOLD):
             return key in ("left", "right", "return")
         if row.setting is None:
@@ -311,13 +314,14 @@ class SettingsPanel:
     def _key(self, key: str, rect: Rect) -> None:
         names = [placed.row.name for placed in self._rows if placed.row.name]
         row = self._row(self._chosen)
-        if key == "escape" or row is None:
+        if key in ("up", "down"):
+            step = 1 if key == "down" else -1
+            begin = names.index(row.name) if row else min(-step, 0)
+            self._choose(names[(begin + step) % len(names)])
+            self._show(rect)
+        elif key == "escape" or row is None:
             self._unfold("")  # else the next one would quit, with the list still open
             self._leave()
-        elif key in ("up", "down"):
-            step = 1 if key == "down" else -1
-            self._choose(names[(names.index(row.name) + step) % len(names)])
-            self._show(rect)
         elif row.option or row.name in (SCENE, HOLD):
             self._key_of_choice(key, row)
             self._show(rect)

@@ -42,6 +42,8 @@ class TimelineRow:
 
     def take(self, event: Event, rect: Rect, height: int) -> bool:
         """Go where the pointer is while the left button is held."""
+        if event.key is not None:
+            return False
         if event.kind in ("press", "release"):
             self._pressed = event.kind == "press" and event.button == "left"
         frames = self._timeline.frames
