@@ -360,21 +360,6 @@ def test_parts_of_a_glb_have_one_order(tmp_path):
     assert found.parts() == 4
 
 
-def test_faces_are_cut_inside_and_wound_alike(tmp_path):
-    """An arrow's diagonal, a polygon with a notch, and neighbours that disagree; areas add up."""
-    cases = {
-        "arrow": ("v 0 0 0\nv 2 -1 0\nv 0 3 0\nv -2 -1 0\nf 1 2 3 4\n", 2 * 3.0),
-        "notch": ("v 0 0 0\nv 3 0 0\nv 3 3 0\nv 1.5 1 0\nv 0 3 0\nf 1 2 3 4 5\n", 6.0),
-        "wound": (SQUARE + "v 2 0 0\nv 2 1 0\nf 1 2 3\nf 1 4 3\nf 2 5 3\nf 6 5 3\n", 2.0),
-    }
-    for name, (text, area) in cases.items():
-        (tmp_path / f"{name}.obj").write_text(text)
-        x, triangles = meshfile.read(tmp_path / f"{name}.obj")
-        a, b, c = (x[triangles[:, n]] for n in range(3))
-        normal = np.cross(b - a, c - a)[:, 2] / 2
-        assert (normal > 0).all() and normal.sum() == pytest.approx(area, rel=1e-15)
-
-
 def elasticity(particles, springs):
     """The components 1111, 1112, 1122, 1222 and 2222 of a flat sheet of mass 1 an area."""
     a, b = particles.position[springs.between.T]

@@ -9,6 +9,7 @@ from typing import NoReturn
 import numpy as np
 
 from taichi_cloth.errors import InputError
+from taichi_cloth.files.meshes.ears import cut
 
 # Vertices and faces, which take some 500 bytes each while a mesh is made into a cloth.
 LARGEST_COUNT = 2**23
@@ -118,6 +119,7 @@ def checked(path: Path, polygons: Polygons) -> Surface:
     owner = np.repeat(np.arange(len(polygons.count)), polygons.count)
     _check_corners(polygons, owner, refusal)
     _check_twice(polygons, refusal)
+    _check_lengths(polygons, owner, refusal)
     surface, face_of = _triangulated(polygons)
     _check_areas(surface, face_of, refusal)
     _check_edges(polygons, owner, refusal)
@@ -194,7 +196,7 @@ def _triangulated(polygons: Polygons) -> tuple[Surface, np.ndarray]:
         for n in range(corners - 2):
             triangles[first[faces] + n] = rows[:, [0, n + 1, n + 2]]
         for f in np.flatnonzero(_folds(x[rows])) if corners > 4 else ():
-            triangles[first[faces[f]] : first[faces[f] + 1]] = _ears(x, rows[f])
+            triangles[first[faces[f]] : first[faces[f] + 1]] = rows[f][cut(x[rows[f]])]
     surface = Surface(
         vertices=x,
         triangles=triangles,
@@ -229,34 +231,6 @@ def _diagonals(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     here, there = _folds(x), _folds(np.roll(x, -1, axis=1))
     shorter = ((x[:, 1] - x[:, 3]) ** 2).sum(axis=1) < ((x[:, 0] - x[:, 2]) ** 2).sum(axis=1)
     return np.where(here == there, shorter, here), ~here & ~there
-
-
-def _ears(x: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """A polygon that is not convex as triangles, (c - 2, 3): ears are cut off one by one.
-
-    Meisters, "Polygons have ears", 1975. Where none is found, the nearest to one is taken.
-    """
-    left = corners.tolist()
-    spokes = x[corners[1:]] - x[corners[0]]
-    normal = np.cross(spokes[:-1], spokes[1:]).sum(axis=0)  # also of a polygon that is not convex
-    cut = []
-    while len(left) > 3:
-        best, widest = 0, -np.inf
-        for n, b in enumerate(left):
-            a, c = left[n - 1], left[(n + 1) % len(left)]
-            width = np.cross(x[b] - x[a], x[c] - x[a]) @ normal
-            others = [i for i in left if i not in (a, b, c)]
-            inside = any(_inside(x[i], x[a], x[b], x[c], normal) for i in others)
-            if not inside and width > widest:
-                best, widest = n, width
-        cut.append([left[best - 1], left[best], left[(best + 1) % len(left)]])
-        left.pop(best)
-    return np.array([*cut, left])
-
-
-def _inside(p: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray, normal: np.ndarray) -> bool:
-    """Whether p lies in the triangle, seen along the normal."""
-    return all(np.cross(v - u, p - u) @ normal >= 0 for u, v in ((a, b), (b, c), (c, a)))
 
 
 def _edge_keys(begin: np.ndarray, end: np.ndarray) -> np.ndarray:
@@ -315,12 +289,28 @@ def _check_areas(surface: Surface, face_of: np.ndarray, refusal: _Refusal) -> No
         refusal.face(face, "is degenerate: its corners lie on a line, and it has no area")
 
 
+def _following(polygons: Polygons) -> np.ndarray:
+    """The vertex that follows each corner in its face, (c,)."""
+    start = np.concatenate([[0], np.cumsum(polygons.count)])
+    following = np.arange(len(polygons.corners)) + 1
+    following[start[1:] - 1] = start[:-1]
+    vertices: np.ndarray = polygons.corners[following]
+    return vertices
+
+
+def _check_lengths(polygons: Polygons, owner: np.ndarray, refusal: _Refusal) -> None:
+    """That no two corners that follow each other lie at one place."""
+    a, b = polygons.corners, _following(polygons)
+    none = (polygons.vertices[a] == polygons.vertices[b]).all(axis=1)
+    if none.any():
+        at = int(none.argmax())
+        text = f"is degenerate: its vertices {a[at]} and {b[at]} lie at one place"
+        refusal.face(int(owner[at]), text)
+
+
 def _check_edges(polygons: Polygons, owner: np.ndarray, refusal: _Refusal) -> None:
     """That an edge has two faces at most."""
-    start = np.concatenate([[0], np.cumsum(polygons.count)])
-    following = np.arange(len(owner)) + 1
-    following[start[1:] - 1] = start[:-1]
-    ends = np.sort(np.stack([polygons.corners, polygons.corners[following]], axis=1), axis=1)
+    ends = np.sort(np.stack([polygons.corners, _following(polygons)], axis=1), axis=1)
     edge = ends[:, 0] * len(polygons.vertices) + ends[:, 1]
     order = np.argsort(edge, kind="stable")
     third = edge[order[2:]] == edge[order[:-2]]
