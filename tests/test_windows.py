@@ -1304,7 +1304,6 @@ def test_keys_buttons_wheel_and_pointer_arrive(window):
     ):
         before = w.released()
         w.do("key", key)
-        # ti.GUI cannot tell a key pressed twice within one of its frames from one that repeats.
         w.wait(lambda: w.released() > before)  # noqa: B023
     w.do("keydown", "Control_L")
     w.do("keyup", "Control_L")
@@ -1324,6 +1323,32 @@ def test_keys_buttons_wheel_and_pointer_arrive(window):
         "h", "h", "ctrl", "h",
     ]  # fmt: skip
     check_that_clicks_are_where_and_when_they_were(w)
+
+
+SLOW = """
+import time
+from taichi_cloth.ui.loop import Loop
+turn = Loop.turn
+Loop.turn = lambda loop: (turn(loop), time.sleep(0.7))
+"""
+
+
+@needs_x
+@pytest.mark.parametrize("kind", KINDS)
+def test_at_a_low_frame_rate_no_click_and_no_key_is_lost(kind, display, caches, tmp_path):
+    """Five clicks within a frame are five, each in its place; twice the same key is twice."""
+    w = Window(display, caches, tmp_path, kind, "spawn", 2, SLOW)
+    w.wait(lambda: any(e["kind"] == "move" for e in w.events()))
+    places = [[100 + 60 * n, 300 - 40 * n] for n in range(5)]
+    clicks = [("mousemove", "--window", w.id, *place, "click", 1) for place in places]
+    w.ask(*[word for click in clicks for word in click], "key", "i", "key", "i", "key", "i")
+    w.wait(lambda: w.released() == 3)
+    names = [e.get("name", "") for e in w.events() if e["kind"] == "tool"]
+    frames = {e["frame"] for e in w.events() if "button" in e or "key" in e}
+    pressed = [e["pos"] for e in w.events() if e["kind"] == "press" and "button" in e]
+    assert pressed == places and w.pressed() == ["i"] * 3 and len(frames) <= 2
+    assert names == ["pin", "", "pin"]
+    w.quit()
 
 
 @needs_x
@@ -1679,6 +1704,7 @@ def test_an_interrupt_while_xlib_reads_events_is_raised_when_it_has(monkeypatch)
     connection = object.__new__(x11.Connection)
     connection._x = SimpleNamespace(XESetWireToEvent=exchange)
     connection._read, connection._stop, connection.window = [], None, 0
+    connection._display, connection._displays = 0, []
     connection._listen(1)
     event = ctypes.create_string_buffer(x11._SIZE)
     moved = 1, ctypes.addressof(event), 1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import string
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -11,8 +11,10 @@ from typing import Any
 from taichi_cloth.errors import InputError
 from taichi_cloth.files.events import Kind, number, numbers, pair, text, word_of
 from taichi_cloth.ui.camera import POSE
+from taichi_cloth.ui.x11 import Input
 
 BUTTONS = ("left", "middle", "right")
+WHEEL = {4: 1.0, 5: -1.0}  # X's numbers of the wheel's buttons -> notches away from the user
 BUTTON_NAMES = {"LMB": "left", "MMB": "middle", "RMB": "right"}  # by GGUI's and ti.GUI's names
 # Names of the keys that a log can hold. Shifted letters and signs are keys of their own only where
 # the program gives them a meaning.
@@ -163,6 +165,37 @@ def fewest_moves(events: Iterable[Event]) -> list[Event]:
             out.pop()
         out.append(event)
     return out
+
+
+def changed(kind: str, key: str, held: set[str]) -> list[Event]:
+    """The event of a key, unless it only repeats what the key already does (auto-repeat).
+
+    held: the keys that are down, of which it takes note.
+    """
+    if (kind == "press") == (key in held):
+        return []
+    (held.add if kind == "press" else held.discard)(key)
+    return [Event(kind, key=key)]
+
+
+def said_by_x(inputs: Iterable[Input], size: tuple[int, int], held: set[str]) -> Iterator[Event]:
+    """The events that X sent to a window (width, height), each where the pointer was then.
+
+    held: as of `changed`.
+    """
+    w, h = size
+    for given in inputs:
+        if given.kind == "move":
+            if 0 <= given.pos[0] <= w and 0 <= given.pos[1] <= h:
+                yield Event("move", pos=given.pos)
+        elif given.button in WHEEL:
+            if given.kind == "press":
+                yield Event("wheel", pos=given.pos, delta=WHEEL[given.button])
+        elif 1 <= given.button <= len(BUTTONS):
+            yield Event(given.kind, pos=given.pos, button=BUTTONS[given.button - 1])
+        else:
+            names = [name for name in map(key_name, given.keys) if name]
+            yield from changed(given.kind, names[0], held) if names else ()
 
 
 def released(held: set[str]) -> list[Event]:

@@ -1,7 +1,8 @@
 """A second look at our own window on X11, for what Taichi's windows do not report.
 
 GGUI says of a button's press neither where nor in which order with keys it came, drops the keys
-``. + - =`` and F1, and knows no wheel; ti.GUI does not follow a resize; neither says that another
+``. + - =`` and F1, and knows no wheel; ti.GUI cannot tell a key that repeats from one that is
+pressed again, and does not follow a resize; neither says that another
 window has the keyboard; and where the connection of either is cut, Xlib ends the process. On X11 a
 second connection may look at the same window, Xlib shows every event that it reads for the window's
 own (`XESetWireToEvent`), and lets that survive its end. Everywhere else `connect` returns None, and
@@ -104,6 +105,7 @@ class _Error(ctypes.Structure):
     ]
 
 
+_AFTER_READING = 1  # asks how many events wait, with those that the server has sent by now
 _BYTES, _REPLACE = 8, 0  # of a property: bits in each of its items; what becomes of it before
 BAD_WINDOW, BAD_DRAWABLE = 3, 9
 _ErrorHandler = ctypes.CFUNCTYPE(_int, _pointer, _pointer)
@@ -153,6 +155,8 @@ def xlib() -> ctypes.CDLL | None:
         ("XFlush", _int, [_pointer]),
         ("XSelectInput", _int, [_pointer, _window, ctypes.c_long]),
         ("XPending", _int, [_pointer]),
+        ("XEventsQueued", _int, [_pointer, _int]),
+        ("XkbSetDetectableAutoRepeat", _int, [_pointer, _int, _pointer]),
         ("XNextEvent", _int, [_pointer, _pointer]),
         ("XDefaultScreen", _int, [_pointer]),
         ("XDisplayWidth", _int, [_pointer, _int]),
@@ -285,6 +289,7 @@ class Connection:
     def listen(self) -> bool:
         """Begin to take note of `inputs`; whether that can be done."""
         for display in self._displays:
+            self._x.XkbSetDetectableAutoRepeat(display, 1, None)  # a key is let go only once
             self._listen(display)
         return bool(self._displays)
 
@@ -354,10 +359,12 @@ class Connection:
             _KEPT_HANDLERS.append(converter)
 
     def inputs(self) -> list[Input]:
-        """What the user did since the last call, oldest first, where the window itself read it.
+        """What the user did since the last call, oldest first.
 
-        An interrupt that came meanwhile is raised here.
+        The window itself finds all of it, too. An interrupt that came meanwhile is raised here.
         """
+        for display in () if self._is_broken() else self._displays:
+            self._x.XEventsQueued(display, _AFTER_READING)
         stop, self._stop = self._stop, None
         if stop:
             raise stop

@@ -2,8 +2,9 @@
 
 Made from `simulation.live`. By mouse: drag a slider, click a switch, click a choice for its list
 and a word of that, turn the wheel to scroll, click twice for the scene's own value. By keys: up and
-down go from row to row, also where none is chosen yet, left and right change, return unfolds a choice and takes a word of it,
-digits and return set a number, backspace takes one away, delete goes back to the scene's value.
+down go from row to row, also where none is chosen yet; left and right change; return unfolds a
+choice and takes a word of it; digits and return set a number, backspace takes one away; delete goes
+back to the scene's value.
 """
 
 from __future__ import annotations

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +19,20 @@ from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.composer import Composer
 from taichi_cloth.ui.framing import camera_of_world
-from taichi_cloth.ui.inputs import BUTTON_NAMES, BUTTONS, Event, fewest_moves, key_name, released
+from taichi_cloth.ui.inputs import (
+    BUTTON_NAMES,
+    Event,
+    changed,
+    fewest_moves,
+    key_name,
+    released,
+    said_by_x,
+)
 from taichi_cloth.ui.pair_composer import PairComposer
 from taichi_cloth.ui.views.contract import Picture, ViewKind, no_display
 from taichi_cloth.ui.window_map import Look, WindowMap
 
 NO_VULKAN = "GGUI needs Vulkan, which is not there (install a Vulkan driver, such as Mesa's)"
-WHEEL = {4: 1.0, 5: -1.0}  # X's numbers of the wheel's buttons -> notches away from the user
 SETTINGS = Path("imgui.ini")  # of GGUI's text library, which we do not use
 ENTITLED = 0.03  # seconds after which a title is written again as a picture is shown
 # Seconds after a look at whether the window is there in which `poll` does not look, too: each
@@ -115,26 +121,10 @@ class GguiView:
             self.close()
             return []
         if self._tap and self._listens:
-            self._window.get_events()  # makes Xlib read; which come, and where, X says better
-            events = [*self._read(self._tap)]
+            self._window.get_events()  # which came, and where, X says better
+            events = [*said_by_x(self._tap.inputs(), self.size, self._held)]
             return fewest_moves(events + (released(self._held) if self._tap.lost_focus() else []))
         return self._reported()
-
-    def _read(self, tap: x11.Connection) -> Iterator[Event]:
-        """The events that X sent to the window, each where the pointer was then."""
-        w, h = self.size
-        for given in tap.inputs():
-            if given.kind == "move":
-                if 0 <= given.pos[0] <= w and 0 <= given.pos[1] <= h:
-                    yield Event("move", pos=given.pos)
-            elif given.button in WHEEL:
-                if given.kind == "press":
-                    yield Event("wheel", pos=given.pos, delta=WHEEL[given.button])
-            elif 1 <= given.button <= len(BUTTONS):
-                yield Event(given.kind, pos=given.pos, button=BUTTONS[given.button - 1])
-            else:
-                names = [name for name in map(key_name, given.keys) if name]
-                yield from self._changed(given.kind, names[0]) if names else ()
 
     def _reported(self) -> list[Event]:
         """The events as GGUI reports them: none has a position, and it knows no wheel."""
@@ -165,14 +155,7 @@ class GguiView:
         if key in BUTTON_NAMES:
             return [Event(kind, pos=pointer, button=BUTTON_NAMES[key])]
         name = key_name(key)
-        return self._changed(kind, name) if name else []
-
-    def _changed(self, kind: str, key: str) -> list[Event]:
-        """The event, unless it only repeats what the key already does (auto-repeat)."""
-        if (kind == "press") == (key in self._held):
-            return []
-        (self._held.add if kind == "press" else self._held.discard)(key)
-        return [Event(kind, key=key)]
+        return changed(kind, name, self._held) if name else []
 
     # Drawing
 

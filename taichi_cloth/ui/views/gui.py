@@ -23,7 +23,15 @@ from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.drawing import Cached
 from taichi_cloth.ui.framing import camera_of_world
-from taichi_cloth.ui.inputs import BUTTON_NAMES, Event, fewest_moves, key_name, released
+from taichi_cloth.ui.inputs import (
+    BUTTON_NAMES,
+    Event,
+    changed,
+    fewest_moves,
+    key_name,
+    released,
+    said_by_x,
+)
 from taichi_cloth.ui.pointer import Pointer
 from taichi_cloth.ui.surfaces import Solid, Topology
 from taichi_cloth.ui.tiles import Panel
@@ -54,6 +62,7 @@ class GuiView:
         self.closed = False
         self._gui: Any = None  # a ti.GUI
         self._tap: x11.Connection | None = None
+        self._listens = False  # whether it hears of all events itself
         self._held: set[str] = set()
         self._springs, self._discs = Cached(_prepared_springs), Cached(_prepared_discs)
         self._faces = Cached(_prepared_faces), Cached(_prepared_faces)
@@ -89,6 +98,7 @@ class GuiView:
             painter.draw(self._frame, [painter.discs(np.full((1, 2), -9.0), np.ones(1), 0)])
             self._gui.show()  # only now does the window have its name
             self._tap = x11.connect(name, displays)
+            self._listens = bool(self._tap and self._tap.listen())
             self._gui.core.title = self._title
 
     @property
@@ -151,53 +161,41 @@ class GuiView:
             if cut:
                 raise x11.ConnectionCut
             return []
-        gui = self._gui
-        out: list[Event] = []
-        for event in gui.get_events():
-            pointer = self._pixel(*event.pos)
-            if event.key == gui.EXIT:
-                self.close()
-                return []
-            if event.key == gui.WHEEL:
-                out.append(Event("wheel", pos=pointer, delta=event.delta[1] / 120))
-                continue
-            if event.type == gui.MOTION:
-                if 0 <= event.pos[0] <= 1 and 0 <= event.pos[1] <= 1:
-                    out.append(Event("move", pos=pointer))
-                continue
-            kind = "press" if event.type == gui.PRESS else "release"
-            if event.key in BUTTON_NAMES:
-                out.append(Event(kind, pos=pointer, button=BUTTON_NAMES[event.key]))
-            elif key_name(event.key):
-                out.append(Event(kind, key=key_name(event.key)))
-        if not gui.running:
+        if self._tap and self._listens:
+            closes = any(event.key == self._gui.EXIT for event in self._gui.get_events())
+            out = [*said_by_x(self._tap.inputs(), self.size, self._held)]
+        else:
+            closes, out = self._reported()
+        if closes or not self._gui.running:
             self.close()
             return []
-        out = self._without_repeats(out)
         if self._tap and self._tap.lost_focus():
             out += released(self._held)
         self._follow_resize()
         return fewest_moves(out)
 
+    def _reported(self) -> tuple[bool, list[Event]]:
+        """Whether ti.GUI says that the window closes, and the events that it reports."""
+        gui, out = self._gui, list[Event]()
+        for event in gui.get_events():
+            pointer, name = self._pixel(*event.pos), key_name(event.key)
+            kind = "press" if event.type == gui.PRESS else "release"
+            if event.key == gui.EXIT:
+                return True, []
+            if event.key == gui.WHEEL:
+                out.append(Event("wheel", pos=pointer, delta=event.delta[1] / 120))
+            elif event.type == gui.MOTION:
+                if 0 <= event.pos[0] <= 1 and 0 <= event.pos[1] <= 1:
+                    out.append(Event("move", pos=pointer))
+            elif event.key in BUTTON_NAMES:
+                out.append(Event(kind, pos=pointer, button=BUTTON_NAMES[event.key]))
+            elif name:
+                out += changed(kind, name, self._held)
+        return False, out
+
     def _pixel(self, x: float, y: float) -> tuple[float, float]:
         """A position of ti.GUI's events in window pixels: it counts rows from the last one up."""
         return round(x * self.size[0], 3), round((1 - y) * self.size[1] - 1, 3)
-
-    def _without_repeats(self, events: list[Event]) -> list[Event]:
-        """Drop auto-repeat, which X sends as a release with a press right behind it."""
-        out: list[Event] = []
-        for i, event in enumerate(events):
-            if event.key is None:
-                out.append(event)
-            elif event.kind == "release":
-                again = Event("press", key=event.key)
-                if again not in events[i + 1 :]:
-                    self._held.discard(event.key)
-                    out.append(event)
-            elif event.key not in self._held:
-                self._held.add(event.key)
-                out.append(event)
-        return out
 
     # Drawing
 
