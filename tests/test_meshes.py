@@ -1,7 +1,6 @@
 """Cloth from mesh files: what is read, what is refused, what its springs and masses are."""
 
 import base64
-import json
 import struct
 import time
 from dataclasses import replace
@@ -9,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from gltf import CORNERS, SQUARE_GLTF, accessor, glb, gltf, primitive
 from scipy.spatial import Delaunay
 from shirt import shirt
 
@@ -29,7 +29,6 @@ from taichi_cloth.scene.triangles import parted
 
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 SOLID = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 0 1\n"  # corners of a tetrahedron
-CORNERS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
 
 
 def ply(vertices="0 0 0\n1 0 0\n1 1 0\n0 1 0\n", faces="4 0 1 2 3\n", form="ascii", n=4, m=1):
@@ -41,12 +40,12 @@ def ply(vertices="0 0 0\n1 0 0\n1 1 0\n0 1 0\n", faces="4 0 1 2 3\n", form="asci
     )
 
 
-def binary_ply(order="<", points=CORNERS, faces=((0, 1, 2), (0, 2, 3))):
-    """A binary PLY file."""
+def binary_ply(order="<", points=CORNERS, faces=((0, 1, 2), (0, 2, 3)), ending="\n"):
+    """A binary PLY file; ending: of its header's lines."""
     form = {"<": "binary_little_endian", ">": "binary_big_endian"}[order]
     rows = b"".join(struct.pack(f"{order}B{len(face)}i", len(face), *face) for face in faces)
     return (
-        ply("", "", form, len(points), len(faces)).encode()
+        ply("", "", form, len(points), len(faces)).replace("\n", ending).encode()
         + np.asarray(points, f"{order}f4").tobytes()
         + rows
     )
@@ -66,55 +65,6 @@ SQUARE_STL = (
     .export(file_type="stl_ascii")
     .encode()
 )
-
-
-def glb(*placements):
-    """A GLB file of unit squares, each moved and scaled by a matrix."""
-    scene = trimesh.Scene()
-    for matrix in placements:
-        square = trimesh.Trimesh(CORNERS, [[0, 1, 2], [0, 2, 3]], process=False)
-        scene.add_geometry(square, transform=matrix)
-    return scene.export(file_type="glb")
-
-
-# A square's two triangles in glTF: its accessors and what its nodes show.
-GLTF = {
-    "accessors": [
-        {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3"},
-        {"bufferView": 1, "componentType": 5123, "count": 6, "type": "SCALAR"},
-    ],
-    "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
-    "nodes": [{"mesh": 0}],
-    "scenes": [{"nodes": [0]}],
-}
-SQUARE_GLTF = (CORNERS.astype("<f4"), np.array([0, 1, 2, 0, 2, 3], "<u2"))
-
-
-def gltf(tables=SQUARE_GLTF, **about):
-    """A GLB file by hand: a view for each table, and what is said in another way than in `GLTF`."""
-    about = {**GLTF, **about}
-    begin = np.cumsum([0, *(-(-t.nbytes // 4) * 4 for t in tables)]).tolist()
-    body = b"".join(t.tobytes().ljust(-(-t.nbytes // 4) * 4, b"\0") for t in tables)
-    views = [
-        {"buffer": 0, "byteOffset": at, "byteLength": t.nbytes}
-        for at, t in zip(begin[:-1], tables, strict=True)
-    ]
-    about = {"bufferViews": views, "buffers": [{"byteLength": len(body)}], **about}
-    text = json.dumps(about).encode()
-    text += b" " * (-len(text) % 4)
-    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text
-    chunks += struct.pack("<II", len(body), 0x004E4942) + body
-    return b"glTF" + struct.pack("<II", 2, 12 + len(chunks)) + chunks
-
-
-def accessor(number, **about):
-    """The accessors of `GLTF`, one of them said otherwise."""
-    return [{**a, **(about if n == number else {})} for n, a in enumerate(GLTF["accessors"])]
-
-
-def primitive(**about):
-    """The meshes of `GLTF`, its primitive said otherwise."""
-    return [{"primitives": [{**GLTF["meshes"][0]["primitives"][0], **about}]}]
 
 
 # name of the file, its content, what the refusal says
@@ -150,7 +100,7 @@ MALFORMED = [
     ("loose.obj", SQUARE + "f 1 2 3\n", "line 4: vertex 3 is a corner of no face"),
     ("word.obj", SQUARE + "f 1 two 3\n", "line 5: a face has numbers of vertices, not '1 two 3'"),
     ("short.obj", "v 0 0\nf 1 2 3\n", "line 1: a vertex has three numbers, not '0 0'"),
-    ("prose.obj", "Dear reader,\nthis is a letter.\n", "line 1: is not of an OBJ file"),
+    ("prose.obj", "Dear reader,\nthis is a letter.\n", "no line of vertices or faces"),
     ("comments.obj", "# nothing\ng here\n", "no line of vertices or faces"),
     ("garbage.obj", b"\x00\x01\xfe" * 50, "is binary"),
     ("garbage.ply", b"\x00\x01\xfe" * 50, "does not begin with 'ply'"),
@@ -202,6 +152,28 @@ def test_what_is_no_sound_surface_is_refused_in_a_line(tmp_path, name, content, 
     assert "\n" not in str(refused.value)
 
 
+def test_a_binary_ply_may_begin_with_the_byte_that_ends_lines(tmp_path):
+    for ending in ("\n", "\r", "\r\n"):
+        first = np.frombuffer(b"\n\r\n\x40", "<f4")[0]
+        content = binary_ply(points=[(first, 0, 0), *CORNERS[1:]], ending=ending)
+        (tmp_path / "ten.ply").write_bytes(content)
+        assert meshes.read(tmp_path / "ten.ply").vertices[0, 0] == first
+
+
+def test_lines_of_other_kinds_are_passed_over_with_one_note(tmp_path, capsys):
+    """Those of the format that say nothing of faces are not named."""
+    known = "mtllib a.mtl\no one\ng two\nusemtl red\ns 1\nvt 0 0\nvn 0 0 1\nvp 0 1\nl 1 2\np 1\n"
+    others = "ny 0 1\ncurv 0 1 1 2\nny 0 1\n" + "".join(f"kind{n} 0\n" for n in range(9))
+    path = tmp_path / "other.obj"
+    path.write_text(SQUARE + known + others + "f 1 2 3 4\n")
+    says = "12 lines of kinds that are not read: 'ny', 'curv', 'kind0', 'kind1', 'kind2' and 6 more"
+    assert meshes.read(path).notes == (f"{says}, from line 15 on",)
+    run_notes.note_files(SceneSource(str(path)).build())
+    assert capsys.readouterr().err == f"taichi-cloth: note: {path}: {says}, from line 15 on\n"
+    path.write_text(SQUARE + known + "f 1 2 3 4\n")
+    assert meshes.read(path).notes == ()
+
+
 def test_a_surface_is_not_made_twice_while_it_is_held(tmp_path):
     """Also where its file is another; one that changed is read anew."""
     (tmp_path / "one.obj").write_text(SQUARE + "f 1 2 3 4\n")
@@ -234,11 +206,16 @@ def test_files_that_are_none_or_too_large_are_refused_unread(tmp_path):
         ("slashes.obj", SQUARE + "vt 0 0\nvn 0 0 1\nusemtl a\ng one\nf 1/1/1 2//1 3/1 -1/1/1\n"),
         ("split.obj", "# a\r\n" + SQUARE + "f 1 2 \\\n3 4\r\n"),
         ("noted.obj", "# of C:\\meshes\\\n" + SQUARE.replace("\n", " # a corner\n") + "f 1 2 3 4#"),
+        ("curves.obj", "cstype bezier\nny 0 1\n" + SQUARE + "vp 0 1\ncurv 0 1 1 2\nfo 1 2 3 4\n"),
         ("feed.obj", "# a\x0cb\n# c\u2028d\n" + SQUARE + "f 1 2 3 4\n"),
         ("last.obj", SQUARE + "f 1 2 3 4 \\"),
         ("marked.obj", "\ufeff" + SQUARE + "f 1 2 3 4\n"),
         ("text.ply", ply()),
         ("marked.ply", "\ufeff" + ply()),
+        ("mac.ply", ply().replace("\n", "\r")),
+        ("dos.ply", ply().replace("\n", "\r\n")),
+        ("mac-binary.ply", binary_ply(ending="\r")),
+        ("dos-binary.ply", binary_ply(ending="\r\n")),
         ("little.ply", binary_ply("<", faces=((0, 1, 2, 3),))),
         ("big.ply", binary_ply(">", faces=((0, 1, 2, 3),))),
         ("triangles.ply", binary_ply()),
@@ -326,38 +303,6 @@ def test_every_format_gives_the_square(tmp_path, name, content):
     a, b, c = (x[triangles[:, n]] for n in range(3))
     normal = np.cross(b - a, c - a) / 2
     assert (normal[:, 2] > 0).all() and normal[:2, 2].sum() == 1.0
-
-
-def test_meshes_of_a_glb_are_joined_where_its_scene_has_them(tmp_path):
-    apart = trimesh.transformations.translation_matrix([3, 0, 0]) @ np.diag([2.0, 2.0, 2.0, 1.0])
-    beside = trimesh.transformations.translation_matrix([1, 0, 0])
-    (tmp_path / "two.glb").write_bytes(glb(np.eye(4), beside, apart))
-    surface = meshes.read(tmp_path / "two.glb")
-    assert surface.parts() == 2 and len(surface.vertices) == 6 + 4  # an edge of two is shared
-    np.testing.assert_array_equal(surface.vertices.max(axis=0), [5, 2, 0])
-
-
-def test_parts_of_a_glb_have_one_order(tmp_path):
-    """Nodes by their names, of each the primitives of its materials: numbers that pin vertices."""
-    there = {**GLTF["accessors"][0], "bufferView": 2}
-    content = gltf(
-        (*SQUARE_GLTF, (CORNERS + [5, 0, 0]).astype("<f4")),
-        accessors=[*GLTF["accessors"], there],
-        meshes=[{"primitives": [
-            *primitive()[0]["primitives"], *primitive(attributes={"POSITION": 2})[0]["primitives"]
-        ]}],
-        nodes=[
-            {"name": "b", "mesh": 0},
-            {"name": "up", "children": [2], "translation": [0, 0, 9], "scale": [2, 2, 2]},
-            {"name": "a", "mesh": 0, "rotation": [0, 0, 1, 1]},
-        ],
-        scenes=[{"nodes": [0, 1]}],
-    )  # fmt: skip
-    (tmp_path / "parts.glb").write_bytes(content)
-    found = meshes.read(tmp_path / "parts.glb")
-    first = [[0, 0, 9], [0, 10, 9], [0, 0, 0], [5, 0, 0]]
-    np.testing.assert_allclose(found.vertices[::4], first, atol=1e-12)
-    assert found.parts() == 4
 
 
 def elasticity(particles, springs):
@@ -579,6 +524,32 @@ def test_an_obstacle_that_is_no_body_is_refused_by_its_file(tmp_path, content, s
     scene.write_text(f"{world}file = 'open.obj'\nfaces = [[0, 1, 2]]\n")
     with pytest.raises(InputError, match="line 7: .* 0: faces and file exclude each other"):
         scenefile.load(scene)
+
+
+def test_a_body_that_is_parted_at_seams_is_joined_and_said(tmp_path):
+    """As a writer parts it where textures begin: at exactly the same place, and no farther."""
+    box = trimesh.creation.box()
+    scene = tmp_path / "scene.toml"
+    scene.write_text(
+        "[world]\nsize = [1.0, 1.0, 1.0]\n[[obstacles]]\nshape = 'mesh'\nfile = 'box.ply'\n"
+    )
+
+    def loaded(corners):
+        trimesh.Trimesh(corners, np.arange(36).reshape(-1, 3), process=False).export(
+            tmp_path / "box.ply"
+        )
+        return scenefile.load(scene)
+
+    corners = box.vertices[box.faces].reshape(-1, 3)
+    found = loaded(corners)
+    says = "28 vertices that lie exactly on others are joined to them, and the body is closed"
+    assert found.notes == (f"{tmp_path}/box.ply: {says}",)
+    body = found.obstacles[0].values
+    made = trimesh.Trimesh(body["vertices"], body["faces"], process=False)
+    assert made.is_watertight and made.volume == pytest.approx(1.0)
+    corners[0] += 1e-6
+    with pytest.raises(InputError, match=r"box.ply: the mesh is not closed"):
+        loaded(corners)
 
 
 def test_a_mesh_hangs_from_its_highest_points(tmp_path):

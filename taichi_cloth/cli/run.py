@@ -140,6 +140,7 @@ def _run_in(window: Window, run: Run, device: Device) -> int:
         if beside:
             print(f"beside it: {beside.names()[1]}", flush=True)
         run_notes.note_passing(source, run.of.scene)
+        run_notes.note_files(run.of.scene)
         run_notes.note_parted(run.of.scene)
         run_notes.note_wide(run.of.scene)
         run_notes.note_reset(files.recordings, view)

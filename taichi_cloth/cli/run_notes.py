@@ -92,6 +92,12 @@ def note_passing(source: SceneSource, scene: Scene) -> None:
         )
 
 
+def note_files(scene: Scene) -> None:
+    """Say on standard error what was passed over, or joined, as a scene's files were read."""
+    for note in scene.notes:
+        say(f"note: {note}")
+
+
 def note_parted(scene: Scene) -> None:
     """Say on standard error where cloth lies on cloth without being joined to it, as at seams that
     a program parted for its textures: it would come apart there.

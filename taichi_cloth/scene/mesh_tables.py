@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from taichi_cloth.files import meshes
 from taichi_cloth.scene import toml
 from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.mesh import OF_THE_MESH, mesh
@@ -43,6 +44,8 @@ def read(reader: TableReader, entry: Table, index: int, common: Common) -> Sheet
         reader.refuse((*path, "bending"), f"bending {NOT_NEGATIVE.says}, is {bending:g}")
     scale = reader.finite(path, "scale", reader.value(entry, path, "scale", toml.number, 1.0))
     with reader.blaming(path, entry, file):
+        surface = meshes.read(file)  # held: `mesh` has it from there
+        reader.note(file, surface.notes)
         particles, springs, triangles = mesh(
             file,
             scale=scale,

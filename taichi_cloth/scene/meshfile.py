@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from taichi_cloth.files import meshes
+from taichi_cloth.files.meshes.surface import Surface, closed
 from taichi_cloth.settings import accepted
 
 
@@ -20,3 +21,10 @@ def read(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
     """
     surface = meshes.read(accepted.path("meshfile.read: path", path))
     return surface.vertices, surface.triangles
+
+
+def read_body(path: Path) -> Surface:
+    """The surface of a body in a file of such a mesh, as `read` has it; one that is parted where
+    textures begin is closed there, and a note says so.
+    """
+    return closed(path, meshes.read(path))

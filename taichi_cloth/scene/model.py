@@ -389,6 +389,7 @@ class Scene(ByValue):
         their normal points to, the corners of each go round counterclockwise.
     obstacles: what particles rest on, slide along and bounce off.
     stencils: where they resist being bent.
+    notes: what was passed over, or joined, as its files were read; no part of its physics.
 
     Lists of triangles and obstacles are taken, too. Two scenes are equal where all of this is.
     """
@@ -403,6 +404,7 @@ class Scene(ByValue):
     triangles: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int64))
     obstacles: tuple[Obstacle, ...] = ()
     stencils: Stencils = field(default_factory=Stencils.none)
+    notes: tuple[str, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         triangles: Any = self.triangles

@@ -47,8 +47,8 @@ class Obstacle:
         """
         return cls(shape, values)
 
-    def with_file(self, folder: Path) -> Obstacle:
-        """This obstacle with what its file has, in the place of the file's name.
+    def with_file(self, folder: Path) -> tuple[Obstacle, tuple[str, ...]]:
+        """This obstacle with what its file has, in the place of the file's name, and notes on it.
 
         folder: where a relative name begins. InputError where the file has no sound mesh.
         """
@@ -57,10 +57,11 @@ class Obstacle:
         name = self.values.get("file")
         twice = not {"vertices", "faces"}.isdisjoint(self.values)
         if not isinstance(name, str) or self.shape != "mesh" or twice:
-            return self  # `fault` says what is wrong
-        vertices, faces = meshfile.read(folder / name)
+            return self, ()  # `fault` says what is wrong
+        body = meshfile.read_body(folder / name)
         values = {key: value for key, value in self.values.items() if key != "file"}
-        return Obstacle.build(self.shape, vertices=vertices, faces=faces, **values)
+        given = {"vertices": body.vertices, "faces": body.triangles}
+        return Obstacle.build(self.shape, **given, **values), body.notes
 
     def value(self, name: str) -> Any:
         """The value of a key, its default where it is absent."""

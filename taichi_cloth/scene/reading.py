@@ -6,7 +6,7 @@ for many particles, through the same `TableReader`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -65,6 +65,13 @@ class TableReader:
         self.name, self.folder, self.keys = name, folder, keys
         self.lines = toml.lines_of(text)
         self.assigned: set[Keys] = set()
+        self.notes: list[str] = []
+
+    def note(self, file: Path, clauses: Iterable[str]) -> None:
+        """Keep what is to be said of a file that the scene names, a clause each."""
+        for clause in clauses:
+            if (note := f"{file}: {clause}") not in self.notes:
+                self.notes.append(note)
 
     # Places
 

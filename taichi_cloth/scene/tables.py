@@ -147,6 +147,7 @@ class SceneReader(TableReader):
             obstacles=self.obstacles(table),
             triangles=np.concatenate(surfaces),
             stencils=stencils,
+            notes=tuple(self.notes),
         )
         return validate(scene, self.place_of_fault)
 
@@ -223,7 +224,8 @@ class SceneReader(TableReader):
             obstacle = Obstacle.build(shape, **values)
             if isinstance(file := values.get("file"), str):
                 with self.blaming(path, entry, self.folder / file):
-                    obstacle = obstacle.with_file(self.folder)
+                    obstacle, notes = obstacle.with_file(self.folder)
+                self.note(self.folder / file, notes)
                 if "file" not in obstacle.values:
                     self.files[index] = self.folder / file
             found.append(obstacle)

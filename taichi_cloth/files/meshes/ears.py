@@ -1,7 +1,6 @@
 """Polygons that are not convex as triangles: ears are cut off, the widest first.
 
-Meisters, "Polygons have ears", 1975. No library is asked: mapbox_earcut leaves out corners that lie
-on a line, and GEOS does, too; a neighbour's edges end there.
+Meisters, "Polygons have ears", 1975. No library is asked: `docs/notes/mesh-readers.md` says why.
 """
 
 from __future__ import annotations

@@ -2,7 +2,8 @@
 
 Khronos Group, "glTF 2.0 Specification": 4.4 (12 bytes of header: 'glTF', version, length; then
 chunks, the first of JSON, the second of bytes), 3.5 (the scene's nodes), 3.6 (buffers, accessors)
-and 3.7 (primitives).
+and 3.7 (primitives, skins and morph targets). A mesh is read as it is first shown: its morph
+targets by their weights, then its skin by where its joints are; animations are passed over.
 
 Read here and not by a library: trimesh 5 numbers the parts of a mesh of several materials in
 another order each time, takes whole numbers that stand for fractions (KHR_mesh_quantization) as
@@ -14,6 +15,7 @@ from __future__ import annotations
 import base64
 import json
 import struct
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +27,7 @@ from taichi_cloth.files.meshes.surface import Polygons, check_counts, merged
 HEADER = 12
 JSON, BYTES = 0x4E4F534A, 0x004E4942  # kinds of chunks
 TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-WIDTHS = {"SCALAR": 1, "VEC3": 3}
+WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 TRIANGLES, STRIP, FAN = 4, 5, 6  # other primitives are points and lines
 # Extensions without which a file can still be read: what they hold is no geometry, by a word of
 # their names, or is read here.
@@ -75,6 +77,7 @@ class _File:
 
     def __init__(self, path: Path, chunks: bytes):
         self.path, self.bytes = path, memoryview(b"")
+        self.matrices: dict[int, np.ndarray] | None = None
         size, kind = struct.unpack_from("<II", chunks)
         if kind != JSON:
             raise ValueError("its first chunk is no JSON")
@@ -116,19 +119,59 @@ class _File:
                 continue
             if INSTANCES in node.get("extensions", ()):
                 self.refuse_extension(INSTANCES)
-            for primitive in self.item("meshes", node["mesh"])["primitives"]:
-                vertices, faces = self.primitive(primitive)
+            mesh = self.item("meshes", node["mesh"])
+            weights = node.get("weights", mesh.get("weights", ()))
+            for primitive in mesh["primitives"]:
+                vertices, faces = self.primitive(primitive, weights)
                 if not len(faces):
                     continue
-                if np.linalg.det(matrix[:3, :3]) < 0:  # 3.7.4: a mirror turns the winding round
+                if "skin" in node:  # 3.7.3.3: joints place the mesh, and not its node
+                    by = self.skinned(self.item("skins", node["skin"]), primitive, len(vertices))
+                    vertices = np.einsum("nij,nj->ni", by[:, :, :3], vertices) + by[:, :, 3]
+                    mirrored = 2 * (np.linalg.det(by[:, :, :3]) < 0).sum() > len(by)
+                else:
+                    vertices = vertices @ matrix[:3, :3].T + matrix[:3, 3]
+                    mirrored = np.linalg.det(matrix[:3, :3]) < 0
+                if mirrored:  # 3.7.4: a mirror turns the winding round
                     faces = faces[:, [0, 2, 1]]
-                found.append((vertices @ matrix[:3, :3].T + matrix[:3, 3], faces))
+                found.append((vertices, faces))
         return found
 
-    def placed(self) -> dict[int, np.ndarray]:
-        """The matrices (4, 4) of the scene's nodes, by number; of a file without scenes of all."""
+    def skinned(self, skin: dict[str, Any], primitive: dict[str, Any], count: int) -> np.ndarray:
+        """By what each vertex of a primitive is placed, (count, 3, 4): its joints' matrices, by
+        its weights.
+        """
+        if self.matrices is None:
+            self.matrices = self.placed(whole=True)
+        joints = np.stack([self.matrices[joint] for joint in skin["joints"]])
+        if "inverseBindMatrices" in skin:
+            inverse = self.accessor(skin["inverseBindMatrices"], "MAT4").astype(np.float64)
+            joints = joints @ inverse[: len(joints)].reshape(-1, 4, 4).transpose(0, 2, 1)
+        attributes = primitive["attributes"]
+        sets = [n for n in range(len(attributes)) if f"JOINTS_{n}" in attributes]
+        if not sets:
+            raise ValueError("it has a mesh with a skin, but without joints")
+        of, weight = (
+            np.concatenate([self.accessor(attributes[f"{name}_{n}"], "VEC4") for n in sets], axis=1)
+            for name in ("JOINTS", "WEIGHTS")
+        )
+        if of.shape != (count, 4 * len(sets)) or weight.shape != of.shape:
+            raise ValueError(f"it has {count} vertices, and joints of {len(of)}")
+        weight = weight.astype(np.float64)
+        none = ~(weight.sum(axis=1) > 0)
+        weight[none, 0] = 1.0  # as if the first joint had it alone
+        weight /= weight.sum(axis=1, keepdims=True)
+        matrices = np.zeros((count, 3, 4))
+        for n in range(of.shape[1]):
+            matrices += weight[:, n, None, None] * joints[of[:, n], :3]
+        return matrices
+
+    def placed(self, whole: bool = False) -> dict[int, np.ndarray]:
+        """The matrices (4, 4) of the scene's nodes, by number; of all, where there are no scenes,
+        or the whole file is asked for.
+        """
         nodes = self.about.get("nodes", [])
-        if "scenes" in self.about:
+        if "scenes" in self.about and not whole:
             roots = self.item("scenes", self.about.get("scene", 0)).get("nodes", [])
         else:
             below = {child for node in nodes for child in node.get("children", ())}
@@ -144,12 +187,18 @@ class _File:
             ahead += [(child, found[number]) for child in node.get("children", ())]
         return found
 
-    def primitive(self, primitive: dict[str, Any]) -> Part:
-        """The vertices and triangles of a primitive; of points and lines no triangle."""
+    def primitive(self, primitive: dict[str, Any], weights: Sequence[float]) -> Part:
+        """The vertices and triangles of a primitive; of points and lines no triangle.
+
+        weights: how far its morph targets move its vertices.
+        """
         kind = primitive.get("mode", TRIANGLES)
         if kind not in (TRIANGLES, STRIP, FAN):
             return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
         vertices = self.accessor(primitive["attributes"]["POSITION"], "VEC3").astype(np.float64)
+        for weight, target in zip(weights, primitive.get("targets", ()), strict=False):
+            if weight and "POSITION" in target:
+                vertices += weight * self.accessor(target["POSITION"], "VEC3")
         corners: np.ndarray = np.arange(len(vertices))
         if "indices" in primitive:
             corners = self.accessor(primitive["indices"], "SCALAR")[:, 0].astype(np.int64)
@@ -166,7 +215,7 @@ class _File:
         return vertices, faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
 
     def accessor(self, number: int, shape: str) -> np.ndarray:
-        """A table of the file, (count, 1 or 3): fractions that whole numbers stand for as such."""
+        """A table of the file, (count, width): fractions that whole numbers stand for as such."""
         of = self.item("accessors", number)
         if of["type"] != shape:
             raise ValueError(f"accessor {number} is {clipped(str(of['type']))}, not {shape}")

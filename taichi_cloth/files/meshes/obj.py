@@ -2,8 +2,8 @@
 
 Read here and not by a library: a refusal names the line, polygons stay whole, and a vertex keeps
 its number, also where textures or normals part the corners that meet in it. Lines of other kinds
-(textures, normals, groups, materials) are passed over, and so is what follows a '#'. Wavefront,
-"Advanced Visualizer Manual", appendix B1.
+are passed over, and so is what follows a '#'; a note names kinds that are not textures, normals,
+groups, materials and the like. Wavefront, "Advanced Visualizer Manual", appendix B1.
 """
 
 from __future__ import annotations
@@ -13,14 +13,16 @@ from pathlib import Path
 
 import numpy as np
 
-from taichi_cloth.errors import InputError, clipped
+from taichi_cloth.errors import InputError, clipped, counted
 from taichi_cloth.files.meshes.surface import Polygons, check_counts
 
-# Beginnings of lines that say nothing about positions and faces.
-PASSED_OVER = {
+# Beginnings of lines that say nothing about positions and faces: they are passed over unsaid.
+KNOWN = {
     *("vt", "vn", "vp", "g", "o", "s", "mg", "usemtl", "mtllib", "usemap", "maplib", "l", "p"),
     *("bevel", "c_interp", "d_interp", "lod", "shadow_obj", "trace_obj"),
 }
+FACES = ("f", "fo")  # `fo` is what earlier versions of the format called them
+MOST_KINDS = 5  # that a note names
 
 
 def read(path: Path, data: bytes) -> Polygons:
@@ -55,20 +57,20 @@ class _Reader:
         self.corners: list[int] = []
         self.count: list[int] = []
         self.lines: list[int] = []
+        self.others: dict[str, int] = {}  # lines of kinds that are not known
+        self.first_other = 0
 
     def line(self, number: int, words: list[str]) -> None:
         kind = words[0]
         if kind == "v":
             self.known = True
             self.vertex(number, words)
-        elif kind == "f":
+        elif kind in FACES:
             self.known = True
             self.face(number, words)
-        elif kind not in PASSED_OVER:
-            shown = clipped(kind)
-            raise InputError(
-                f"{self.path} line {number}: is not of an OBJ file of polygons: '{shown}'"
-            )
+        elif kind not in KNOWN:
+            self.others[kind] = self.others.get(kind, 0) + 1
+            self.first_other = self.first_other or number
 
     def vertex(self, number: int, words: list[str]) -> None:
         try:
@@ -129,4 +131,15 @@ class _Reader:
             count=np.array(self.count, np.int64),
             lines=np.array(self.lines, np.int64),
             vertex_lines=np.array(self.vertex_lines, np.int64),
+            notes=self.notes(),
         )
+
+    def notes(self) -> tuple[str, ...]:
+        """What is said of lines of kinds that are not known."""
+        if not self.others:
+            return ()
+        shown = [f"'{clipped(kind)}'" for kind in list(self.others)[:MOST_KINDS]]
+        more = len(self.others) - len(shown)
+        kinds = ", ".join(shown) + (f" and {more} more" if more else "")
+        count = counted(sum(self.others.values()), "line")
+        return (f"{count} of kinds that are not read: {kinds}, from line {self.first_other} on",)

@@ -68,7 +68,9 @@ def _header(path: Path, data: bytes) -> tuple[str, list[Element], int, int]:
     if data[:3] != b"ply" or data[3:4] not in (b"\n", b"\r"):
         raise InputError(f"{path}: is not a PLY file: it does not begin with 'ply'")
     end = data.find(b"end_header", 0, 2**20)
-    after = data.find(b"\n", end)
+    # Binary data may begin with a byte of 10: what ends the first line ends the last one.
+    ending = b"\r" if data[3:4] == b"\r" and data[4:5] != b"\n" else b"\n"
+    after = data.find(ending, end)
     if end < 0 or after < 0:
         raise InputError(f"{path}: is cut short: its header has no 'end_header'")
     order: str | None = None

@@ -28,6 +28,7 @@ class Polygons:
     count: corners of each face, (f,) int64.
     lines: the file's line of each face, (f,) int64; None: the file has no lines.
     vertex_lines: likewise of each vertex, (n,).
+    notes: what a reader has to say, a clause each.
     """
 
     vertices: np.ndarray
@@ -35,6 +36,7 @@ class Polygons:
     count: np.ndarray
     lines: np.ndarray | None = None
     vertex_lines: np.ndarray | None = None
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -47,17 +49,46 @@ class Surface:
         wound alike where that can be (a Moebius strip cannot), as most of the file's are.
     quads: the convex faces with four corners, (q, 4) int64.
     quad_triangles: (q, 2) int64, the two triangles that each of them is cut into.
+    notes: what the file's reader has to say of it, a clause each.
     """
 
     vertices: np.ndarray
     triangles: np.ndarray
     quads: np.ndarray
     quad_triangles: np.ndarray
+    notes: tuple[str, ...] = ()
+
+    def is_closed(self) -> bool:
+        """Whether each edge has two faces: then the surface is a body's."""
+        begin, end = self.triangles.ravel(), np.roll(self.triangles, -1, axis=1).ravel()
+        return bool((np.unique(_edge_keys(begin, end), return_counts=True)[1] == 2).all())
 
     def parts(self) -> int:
         """How many parts there are that no edge joins."""
         ends = self.triangles[:, [0, 1, 1, 2]].reshape(-1, 2)
         return int(_components(ends, len(self.vertices))[0])
+
+
+def closed(path: Path, surface: Surface) -> Surface:
+    """The surface, closed where vertices at exactly the same place are joined, as a writer parts
+    them where textures begin; unchanged where that does not close it.
+    """
+    if surface.is_closed():
+        return surface
+    m = len(surface.triangles)
+    polygons = merged(
+        Polygons(surface.vertices, surface.triangles.ravel(), np.full(m, 3, np.int64))
+    )
+    joined = len(surface.vertices) - len(polygons.vertices)
+    if not joined:
+        return surface
+    lie = "vertex that lies" if joined == 1 else "vertices that lie"
+    note = f"{joined} {lie} exactly on others are joined to them, and the body is closed"
+    try:
+        whole = checked(path, replace(polygons, notes=(*surface.notes, note)))
+    except InputError:  # what is joined is no sound surface
+        return surface
+    return whole if whole.is_closed() else surface
 
 
 def check_counts(path: Path, vertices: int, faces: int) -> None:
@@ -70,18 +101,19 @@ def check_counts(path: Path, vertices: int, faces: int) -> None:
 
 
 def merged(polygons: Polygons) -> Polygons:
-    """The same faces with one vertex where several lie at exactly the same place.
+    """The same faces with one vertex where several lie at exactly the same place, and without
+    vertices that no face has.
 
     Vertices keep their order, each where its first one was.
     """
+    used, corners = np.unique(polygons.corners, return_inverse=True)
+    vertices = polygons.vertices[used]
     # Adding 0 makes 0 of -0.
-    _, first, same = np.unique(
-        polygons.vertices + 0.0, axis=0, return_index=True, return_inverse=True
-    )
+    _, first, same = np.unique(vertices + 0.0, axis=0, return_index=True, return_inverse=True)
     rank = np.argsort(np.argsort(first, kind="stable"), kind="stable")
     return Polygons(
-        vertices=polygons.vertices[np.sort(first)],
-        corners=rank[same.ravel()][polygons.corners].astype(np.int64),
+        vertices=vertices[np.sort(first)],
+        corners=rank[same.ravel()][corners.ravel()].astype(np.int64),
         count=polygons.count,
         lines=polygons.lines,
     )
@@ -127,7 +159,7 @@ def checked(path: Path, polygons: Polygons) -> Surface:
     used[polygons.corners] = True
     if not used.all():
         refusal.vertex(int(used.argmin()), "is a corner of no face; remove loose vertices")
-    return replace(surface, triangles=_wound_alike(surface.triangles))
+    return replace(surface, triangles=_wound_alike(surface.triangles), notes=polygons.notes)
 
 
 def _check_vertices(polygons: Polygons, refusal: _Refusal) -> None:
