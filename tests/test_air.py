@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import taichi as ti
 from inside import spec_of, state_of
+from scipy.spatial import Delaunay
 from selection import mostly_thorough, thorough
 
 from taichi_cloth.errors import InputError, SimulationFailure
@@ -173,6 +174,55 @@ def test_a_flat_sheet_falls_at_its_terminal_velocity(falling):
     terminal = np.sqrt(2 * 0.15 * 9.81 / (1.2 * 1.1))
     np.testing.assert_allclose(v[:, 1], -terminal, rtol=1e-9)
     assert np.abs(v[:, [0, 2]]).max() < 1e-9 and np.ptp(falling.positions()[:, 1]) < 1e-9
+
+
+OF_A_MESH = """
+[[meshes]]
+file = "sheet.obj"
+density = 0.15
+stretch = 8.0
+damping_time = 0.002
+move = [3.0, 20.0, 3.0]
+"""
+
+
+def flat_mesh(path, kind):
+    """A file of a sheet across y: triangles between random points, or quads that are cut in two."""
+    at, rng = np.linspace(0.0, 0.5, 9), np.random.default_rng(6)
+    points = np.stack(np.meshgrid(at, at), axis=-1)
+    points[1:-1, 1:-1] += rng.uniform(-0.02, 0.02, (7, 7, 2))
+    points = points.reshape(-1, 2)
+    faces = Delaunay(points).simplices
+    if kind == "quads":
+        first = (np.arange(8)[:, None] * 9 + np.arange(8)).ravel()
+        faces = np.stack([first, first + 9, first + 10, first + 1], axis=1)
+    lines = [f"v {x:.17g} 0 {z:.17g}" for x, z in points]
+    lines += ["f " + " ".join(map(str, face)) for face in faces + 1]
+    path.write_text("\n".join(lines) + "\n")
+
+
+@pytest.mark.parametrize("kind", ["random", "quads", "grid"])
+def test_a_flat_sheet_falls_flat_against_the_wind_as_a_rigid_plate(kind, tmp_path, device):
+    """v' = -g + (w - v)^2 g / u^2 with the terminal velocity u; w - v is by tanh what it is."""
+    text, wind = FLAG.replace("pinned = [[0, 0], [3, 0]]", "down = [0.0, 0.0, 1.0]"), 2.0
+    if kind != "grid":
+        flat_mesh(tmp_path / "sheet.obj", kind)
+        text = text[: text.index("[[cloths]]")] + OF_A_MESH
+    (tmp_path / "scene.toml").write_text(text)
+    scene = scenefile.load(tmp_path / "scene.toml")
+    assert np.ptp(scene.particles.mass) > 0.5 * scene.particles.mass.mean()
+    blown = {"wind": {"velocity": (0.0, wind, 0.0)}}
+    scene = scene.with_world(more=scene.world.more | blown)
+    sim = Simulation(scene, "rk4", substeps=10, topology="graph", execution="serial")
+    sim.advance(30)
+    g, u, t = 9.81, np.sqrt(2 * 0.15 * 9.81 / (1.2 * 1.1)), 0.3
+    now = np.tanh(g * t / u)
+    v = wind - u * (wind + u * now) / (u + wind * now)
+    fallen = np.log(np.cosh(g * t / u) + wind / u * np.sinh(g * t / u)) * u**2 / g - wind * t
+    ways = sim.positions() - scene.particles.position
+    np.testing.assert_allclose(ways, np.tile([0.0, -fallen, 0.0], (len(ways), 1)), atol=1e-9)
+    assert np.ptp(ways, axis=0).max() < 1e-12
+    np.testing.assert_allclose(sim.velocities()[:, 1], v, rtol=1e-8)
 
 
 def test_air_takes_energy_and_presses_on_plates_at_an_angle():

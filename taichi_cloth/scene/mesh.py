@@ -18,7 +18,7 @@ from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.model import ParticleDefaults, Particles, SpringDefaults, Springs
 from taichi_cloth.scene.palette import FABRIC_COLOR, FIXED_COLOR
 from taichi_cloth.scene.properties import SPRING_PROPERTIES
-from taichi_cloth.scene.triangles import areas
+from taichi_cloth.scene.triangles import areas, masses
 from taichi_cloth.settings import accepted
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ def mesh(
     of = Material.given("mesh", material, ("structural",), _given(numbers))
     position = placed(surface.vertices, scale, turn, move)
     fixed = _pinned(pinned, position, up, path)
-    mass = None if of.density is None else of.density * masses_by_shape(surface, position)
+    mass = None if of.density is None else masses(position, surface.triangles, of.density)
     particles = Particles.build(
         position,
         defaults=particle_defaults,
@@ -160,27 +160,6 @@ def _pinned(
             raise InputError(f"pinned: there is no vertex {value:g}; {has}")
         fixed[int(value)] = True
     return fixed
-
-
-def masses_by_shape(surface: Surface, position: np.ndarray) -> np.ndarray:
-    """The mass of each vertex at a density of 1: a third of the areas of the triangles at it, (n,).
-
-    A quad's is the mean over both ways to cut it.
-    """
-    triangles, weight = _both_cuts(surface)
-    third = weight * areas(position, triangles) / 3
-    return np.bincount(triangles.ravel(), np.repeat(third, 3), minlength=len(position))
-
-
-def _both_cuts(surface: Surface) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles and their weights: of quads those of either cut, with half the weight each."""
-    alone = np.ones(len(surface.triangles), bool)
-    alone[surface.quad_triangles] = False
-    q = surface.quads
-    halves = [q[:, list(corners)] for corners in ((0, 1, 2), (2, 3, 0), (1, 2, 3), (3, 0, 1))]
-    triangles = np.concatenate([surface.triangles[alone], *halves])
-    weight = np.concatenate([np.ones(alone.sum()), np.full(4 * len(q), 0.5)])
-    return triangles, weight
 
 
 def stiffness_by_shape(surface: Surface, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

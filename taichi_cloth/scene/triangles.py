@@ -101,8 +101,9 @@ def parted(position: np.ndarray, triangles: np.ndarray, between: np.ndarray) -> 
 def masses(position: np.ndarray, triangles: np.ndarray, density: float) -> np.ndarray:
     """The mass of each particle, (n,): density times its share of the triangles at it.
 
-    The total is density times area, whatever the triangles' size. InputError for a particle at no
-    triangle that has an area, which would have no mass.
+    What presses on triangles is shared in the same way, so that a flat sheet falls flat. The total
+    is density times area, whatever the triangles' size. InputError for a particle at no triangle
+    that has an area, which would have no mass.
     """
     shares = corner_shares(position, triangles) * areas(position, triangles)[:, None]
     mass = density * at_corners(shares, triangles, len(position))
