@@ -25,6 +25,7 @@ class Moving:
     """What an export asks of a simulation: four particles that move, a triangle that tears."""
 
     dt = DT
+    scene = SimpleNamespace(file_points=None)
 
     def __init__(self, surface=True):
         self.frame, self.surface, self.more = 0, surface, 0
@@ -262,7 +263,8 @@ class Clicked(Moving):
     def __init__(self):
         super().__init__()
         began = SimpleNamespace(position=self.positions(), fixed=np.zeros(4, bool))
-        self.scene = SimpleNamespace(world=SimpleNamespace(dim=3), particles=began)
+        world = SimpleNamespace(dim=3)
+        self.scene = SimpleNamespace(world=world, particles=began, file_points=None)
 
     @property
     def particle_count(self):

@@ -110,7 +110,7 @@ def note_parted(scene: Scene) -> None:
         say(
             f"note: {counted(len(pairs), 'particle')} of surfaces {lie} exactly where another one "
             f"does, and nothing joins the two: {such}{other}, on {first}; where that is no seam "
-            "that is to open, merge the mesh's vertices by distance"
+            "that is to open, say weld = 1e-6 in [[meshes]], or merge vertices by distance"
         )
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from taichi_cloth.errors import InputError, counted
 from taichi_cloth.files import meshes
+from taichi_cloth.files.meshes.seams import Welded, welded
 from taichi_cloth.files.meshes.surface import LARGEST_COORDINATE, Surface
 from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.model import ParticleDefaults, Particles, SpringDefaults, Springs
@@ -41,6 +42,7 @@ def mesh(
     move: ArrayLike = (0.0, 0.0, 0.0),
     pinned: Iterable[int] | Mapping[str, float] = (),
     parts: int | None = None,
+    weld: float = 0.0,
     material: Material | None = None,
     up: int = 1,
     particle_defaults: ParticleDefaults | None = None,
@@ -49,15 +51,17 @@ def mesh(
 ) -> tuple[Particles, Springs, np.ndarray]:
     """Particles, springs and triangles (m, 3) of the surface in an OBJ, PLY, STL or GLB file.
 
-    Vertex i of the file is particle i. Each edge is a spring that rests at its length; quads have
-    a spring along each of their diagonals, and larger polygons along the edges of the triangles
-    that they are cut into.
+    Vertex i of the file is particle i, unless `weld` joins some. Each edge is a spring that rests
+    at its length; quads have a spring along each of their diagonals, and larger polygons along the
+    edges of the triangles that they are cut into.
 
     scale: by what positions are multiplied; turn: degrees about x, then y, then z, all through the
         origin; move: what is added then [length].
     pinned: numbers of the vertices that never move, or {"above": h}: those that are then at height
         h or above it.
     parts: how many parts that nothing joins the mesh must have; None: any number.
+    weld: within what length vertices on borders are joined to each other and to the edges of
+        others, after scaling; 0: none are. Particles are then numbered by the first vertex of each.
     material: what the cloth is made of, in the place of masses, radii and stiffness (it has no
         shear of its own: triangles resist it); None: each particle and spring has its own.
     up: +1 where y points up, -1 where it points down.
@@ -66,21 +70,64 @@ def mesh(
     Raises InputError for a file that holds no sound surface (`files.meshes.read`), and for values
     that make no sense.
     """
+    path = accepted.path("mesh: file", file)
+    return of_surface(
+        sewn(path, scale, weld),
+        path,
+        scale=scale,
+        turn=turn,
+        move=move,
+        pinned=pinned,
+        parts=parts,
+        material=material,
+        up=up,
+        particle_defaults=particle_defaults,
+        spring_defaults=spring_defaults,
+        **numbers,
+    )
+
+
+def sewn(path: Path, scale: float, weld: float) -> Welded:
+    """The surface in a file, seams joined within `weld`, a length after scaling; 0: none are."""
+    surface = meshes.read(path)
+    scale, weld = _positive("scale", scale), accepted.number("mesh: weld", weld)
+    if not 0 <= weld < np.inf:
+        raise InputError(f"weld must be finite and not negative, is {weld:g}")
+    if weld == 0:
+        return Welded(surface, np.arange(len(surface.vertices)), surface.triangles)
+    return welded(path, surface, weld, scale)
+
+
+def of_surface(
+    of_file: Welded,
+    path: Path,
+    *,
+    scale: float,
+    turn: ArrayLike,
+    move: ArrayLike,
+    pinned: Iterable[int] | Mapping[str, float],
+    parts: int | None,
+    material: Material | None,
+    up: int,
+    particle_defaults: ParticleDefaults | None,
+    spring_defaults: SpringDefaults | None,
+    **numbers: Any,
+) -> tuple[Particles, Springs, np.ndarray]:
+    """`mesh` of a surface whose seams are joined already; path: its file's."""
     for name in numbers:
         if name not in SPRING_PROPERTIES or name in OF_THE_MESH:
             raise TypeError(f"mesh() got an unexpected keyword argument '{name}'")
-    path = accepted.path("mesh: file", file)
     if parts is not None:
         parts = accepted.whole_number("mesh: parts", parts, 1)
     if accepted.whole_number("mesh: up", up, None) not in (1, -1):
         raise InputError(f"mesh: up must be 1 or -1, is {up}")
-    surface = meshes.read(path)
+    surface = of_file.surface
     if parts is not None and surface.parts() != parts:
         has = counted(surface.parts(), "part")
         raise InputError(f"parts: {path} has {has}, not {parts}, that nothing joins")
     of = Material.given("mesh", material, ("structural",), _given(numbers))
     position = placed(surface.vertices, scale, turn, move)
-    fixed = _pinned(pinned, position, up, path)
+    fixed = _pinned(pinned, position, of_file.joined, up, path)
     mass = None if of.density is None else masses(position, surface.triangles, of.density)
     particles = Particles.build(
         position,
@@ -134,10 +181,14 @@ def placed(vertices: np.ndarray, scale: float, turn: ArrayLike, move: ArrayLike)
 
 
 def _pinned(
-    pinned: Iterable[int] | Mapping[str, float], position: np.ndarray, up: int, path: Path
+    pinned: Iterable[int] | Mapping[str, float],
+    position: np.ndarray,
+    joined: np.ndarray,
+    up: int,
+    path: Path,
 ) -> np.ndarray:
-    """Which vertices never move, (n,) bool."""
-    count = len(position)
+    """Which particles never move, (n,) bool; joined: the particle of each vertex of the file."""
+    count = len(joined)
     if isinstance(pinned, Mapping):
         if set(pinned) != {"above"}:
             raise InputError(f"pinned must be a list, or {{ above = h }}, is {pinned}")
@@ -153,12 +204,12 @@ def _pinned(
         return up_there
     listed = accepted.listed("mesh: pinned", pinned, "a list of vertices, or {'above': h}")
     numbers = accepted.numbers("mesh: pinned", listed)
-    fixed = np.zeros(count, bool)
+    fixed = np.zeros(len(position), bool)
     for value in numbers.ravel().tolist():
         if value != int(value) or not 0 <= value < count:
             has = f"{path} has 0 to {count - 1}"
             raise InputError(f"pinned: there is no vertex {value:g}; {has}")
-        fixed[int(value)] = True
+        fixed[joined[int(value)]] = True
     return fixed
 
 

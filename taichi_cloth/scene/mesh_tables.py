@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
-from taichi_cloth.files import meshes
 from taichi_cloth.scene import toml
 from taichi_cloth.scene.material import Material
-from taichi_cloth.scene.mesh import OF_THE_MESH, mesh
+from taichi_cloth.scene.mesh import OF_THE_MESH, of_surface, sewn
+from taichi_cloth.scene.model import FilePoints
 from taichi_cloth.scene.properties import NOT_NEGATIVE, SPRING_PROPERTIES
 from taichi_cloth.scene.reading import Common, Sheet, Table, TableReader
+from taichi_cloth.scene.seam_notes import open_seams
 from taichi_cloth.scene.stencils import Stencils, mesh_stencils
 from taichi_cloth.scene.toml import Keys
 
@@ -18,7 +20,7 @@ from taichi_cloth.scene.toml import Keys
 SPRING_KEYS = tuple(name for name in SPRING_PROPERTIES if name not in OF_THE_MESH)
 MATERIAL_KEYS = ("density", "thickness", "stretch", "damping_time", "strength")
 KEYS = (
-    *("file", "scale", "turn", "move", "pinned", "parts", "color"),
+    *("file", "scale", "turn", "move", "weld", "pinned", "parts", "color"),
     *MATERIAL_KEYS,
     "bending",
     *SPRING_KEYS,
@@ -43,10 +45,11 @@ def read(reader: TableReader, entry: Table, index: int, common: Common) -> Sheet
     if bending is not None and not NOT_NEGATIVE.holds(bending):
         reader.refuse((*path, "bending"), f"bending {NOT_NEGATIVE.says}, is {bending:g}")
     scale = reader.finite(path, "scale", reader.value(entry, path, "scale", toml.number, 1.0))
+    weld = reader.value(entry, path, "weld", toml.number, 0.0)
     with reader.blaming(path, entry, file):
-        surface = meshes.read(file)  # held: `mesh` has it from there
-        reader.note(file, surface.notes)
-        particles, springs, triangles = mesh(
+        of_file = sewn(file, scale, reader.finite(path, "weld", weld))
+        particles, springs, triangles = of_surface(
+            of_file,
             file,
             scale=scale,
             turn=reader.vector(entry, path, "turn", 3) or (0.0, 0.0, 0.0),
@@ -62,7 +65,11 @@ def read(reader: TableReader, entry: Table, index: int, common: Common) -> Sheet
         stencils = Stencils.none()
         if bending is not None:
             stencils = mesh_stencils(particles.position, triangles, bending)
-        return Sheet(particles, springs, triangles, stencils)
+        points = FilePoints(of_file.joined, of_file.corners)
+        reader.note(file, of_file.surface.notes)
+        placed = replace(of_file.surface, vertices=particles.position)
+        reader.note(file, open_seams(placed, points.first))
+        return Sheet(particles, springs, triangles, stencils, file, points)
 
 
 def _pins(reader: TableReader, entry: Table, path: Keys) -> list[int] | Mapping[str, float]:

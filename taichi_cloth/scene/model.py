@@ -12,7 +12,7 @@ world says so.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from operator import attrgetter
@@ -379,6 +379,41 @@ class Springs(Rows, SpringProperties[np.ndarray, np.ndarray, np.ndarray], _Ends)
         return _joined(self, other)
 
 
+@dataclass(frozen=True, eq=False)
+class FilePoints(ByValue):
+    """The vertices that mesh files have, of which welding made one particle of several.
+
+    particle: of each point, (p,) int64. corners: the points at the corners of the surfaces'
+    triangles, (m, 3) int64.
+    """
+
+    particle: np.ndarray
+    corners: np.ndarray
+
+    @property
+    def first(self) -> np.ndarray:
+        """The first point of each particle, (n,)."""
+        points: np.ndarray = np.unique(self.particle, return_index=True)[1]
+        return points
+
+    @classmethod
+    def of_sheets(
+        cls, listed: np.ndarray, count: int, sheets: Sequence[FilePoints]
+    ) -> FilePoints | None:
+        """Those of a scene: of `count` particles by themselves, then of sheets; listed: triangles
+        (m, 3) that come first, by particles. None where each particle has one.
+        """
+        points, corners, size = [np.arange(count)], [np.zeros((0, 3), np.int64)], count
+        for sheet in sheets:
+            corners.append(sum(map(len, points)) + sheet.corners)
+            points.append(size + sheet.particle)
+            size += len(sheet.first)
+        whole = cls(np.concatenate(points), np.concatenate(corners))
+        if len(whole.particle) == size:
+            return None
+        return cls(whole.particle, np.concatenate([whole.first[listed], whole.corners]))
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Scene(ByValue):
     """A whole scene: world, particles, springs, and what clicks and files default to.
@@ -389,6 +424,7 @@ class Scene(ByValue):
         their normal points to, the corners of each go round counterclockwise.
     obstacles: what particles rest on, slide along and bounce off.
     stencils: where they resist being bent.
+    file_points: vertices of its mesh files, where particles are fewer: what exports write.
     notes: what was passed over, or joined, as its files were read; no part of its physics.
 
     Lists of triangles and obstacles are taken, too. Two scenes are equal where all of this is.
@@ -404,6 +440,7 @@ class Scene(ByValue):
     triangles: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int64))
     obstacles: tuple[Obstacle, ...] = ()
     stencils: Stencils = field(default_factory=Stencils.none)
+    file_points: FilePoints | None = field(default=None, compare=False)
     notes: tuple[str, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:

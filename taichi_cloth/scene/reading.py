@@ -18,6 +18,7 @@ from taichi_cloth.errors import InputError, counted, nearest
 from taichi_cloth.scene import toml
 from taichi_cloth.scene.assignments import Assignment
 from taichi_cloth.scene.model import (
+    FilePoints,
     ParticleDefaults,
     Particles,
     SpringDefaults,
@@ -46,12 +47,17 @@ class Common:
 
 @dataclass(frozen=True)
 class Sheet:
-    """What an entry stands for, numbered from 0: particles, springs, triangles (m, 3), stencils."""
+    """What an entry stands for, numbered from 0: particles, springs, triangles (m, 3), stencils.
+
+    file: the mesh file that it is of, and file_points, the vertices that this has.
+    """
 
     particles: Particles
     springs: Springs
     triangles: np.ndarray
     stencils: Stencils
+    file: Path | None = None
+    file_points: FilePoints | None = None
 
 
 class TableReader:

@@ -17,6 +17,7 @@ from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.model import (
     MOUSE_MODES,
     WALLS,
+    FilePoints,
     ParticleDefaults,
     Particles,
     Scene,
@@ -34,6 +35,7 @@ from taichi_cloth.scene.properties import (
     WorldValue,
 )
 from taichi_cloth.scene.reading import Common, Sheet, Table, TableReader
+from taichi_cloth.scene.seam_notes import loose_parts
 from taichi_cloth.scene.stencils import Stencils
 from taichi_cloth.scene.toml import Keys
 from taichi_cloth.scene.world_keys import world_keys
@@ -112,6 +114,8 @@ class SceneReader(TableReader):
         spring_color = self.value(spring_table, ("spring",), "color", toml.color)
         particles = self.particles(self.entries(table, "particles"), world, particle_defaults)
         sheets = []
+        points, begins = [], []
+        listed = len(particles)
         surfaces = [self.triangles(table)]
         count = len(particles)
         stencils = self.stencils(self.entries(table, "stencils"))
@@ -128,6 +132,9 @@ class SceneReader(TableReader):
                 surfaces.append(count + sheet.triangles)
                 numbers = count + np.arange(len(sheet.particles))
                 stencils = stencils.joined(sheet.stencils.renumbered(numbers))
+                own = FilePoints(np.arange(len(numbers)), sheet.triangles)
+                points.append(sheet.file_points or own)
+                begins.append(count)
                 sheets.append(replace(sheet, particles=self.colored(sheet, entry, (kind, index))))
                 count += len(sheet.particles)
                 spring_count += len(sheet.springs)
@@ -136,6 +143,9 @@ class SceneReader(TableReader):
         springs = self.springs(spring_entries, particles, spring_defaults)
         for sheet in sheets:
             springs = springs.joined(sheet.springs)
+        for sheet, begin in zip(sheets, begins, strict=True):
+            if sheet.file is not None:
+                self.note(sheet.file, loose_parts(sheet, begin, particles, springs))
         scene = Scene(
             name=self.value(table, (), "name", toml.text, self.default_scene_name),
             world=world,
@@ -147,6 +157,7 @@ class SceneReader(TableReader):
             obstacles=self.obstacles(table),
             triangles=np.concatenate(surfaces),
             stencils=stencils,
+            file_points=FilePoints.of_sheets(surfaces[0], listed, points),
             notes=tuple(self.notes),
         )
         return validate(scene, self.place_of_fault)

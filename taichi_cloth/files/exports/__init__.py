@@ -36,8 +36,9 @@ class Export:
     dt: time of a frame. Raises InputError at once, naming the flag `--export`, where the path
     cannot be written, or names no format.
 
-    The particles are those of the first frame that is noted: what is clicked in later is left out,
-    since the formats have the same points in all frames, and is counted in `left_out`.
+    Points are the particles or, where a mesh was welded, the vertices of its file. The particles
+    are those of the first frame that is noted: what is clicked in later is left out, since the
+    formats have the same points in all frames, and is counted in `left_out`.
     """
 
     def __init__(self, path: str | Path, dt: float, every: int = 1):
@@ -100,7 +101,17 @@ class Export:
         # What ends at a particle that is left out would have an end that no file has.
         tied, spanned = ((ends < self._points).all(axis=1) for ends in (edges, faces))
         held, whole = sim.springs_alive()[tied], sim.triangles_alive()[spanned]
-        return Frame(sim.frame, sim.time, points, faces[spanned], whole, edges[tied], held)
+        edges, faces = edges[tied], faces[spanned]
+        of_files = sim.scene.file_points
+        if of_files is not None:  # what was clicked in stands after them
+            own = np.arange(len(of_files.first), self._points)
+            first = np.concatenate([of_files.first, len(of_files.particle) + np.arange(len(own))])
+            points = points[np.concatenate([of_files.particle, own])]
+            edges, faces = (
+                first[edges],
+                np.concatenate([of_files.corners, first[faces[len(of_files.corners) :]]]),
+            )
+        return Frame(sim.frame, sim.time, points, faces, whole, edges, held)
 
     def save(self) -> None:
         """Write what is not yet written, and give the files their names. Once only."""

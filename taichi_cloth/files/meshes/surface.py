@@ -66,7 +66,7 @@ class Surface:
     def parts(self) -> int:
         """How many parts there are that no edge joins."""
         ends = self.triangles[:, [0, 1, 1, 2]].reshape(-1, 2)
-        return int(_components(ends, len(self.vertices))[0])
+        return int(components(ends, len(self.vertices))[0])
 
 
 def closed(path: Path, surface: Surface) -> Surface:
@@ -136,10 +136,10 @@ class _Refusal:
         raise InputError(f"{self.path}{line}: vertex {vertex} {text}")
 
 
-def checked(path: Path, polygons: Polygons) -> Surface:
+def checked(path: Path, polygons: Polygons, loose: bool = False) -> Surface:
     """The surface that a file's polygons make. Raises InputError, naming the line or the face.
 
-    Faces and vertices are numbered from 0 in messages.
+    loose: vertices may be corners of no face. Faces and vertices are numbered from 0 in messages.
     """
     refusal = _Refusal(path, polygons)
     check_counts(path, len(polygons.vertices), len(polygons.count))
@@ -157,7 +157,7 @@ def checked(path: Path, polygons: Polygons) -> Surface:
     _check_edges(polygons, owner, refusal)
     used = np.zeros(len(polygons.vertices), bool)
     used[polygons.corners] = True
-    if not used.all():
+    if not (loose or used.all()):
         refusal.vertex(int(used.argmin()), "is a corner of no face; remove loose vertices")
     return replace(surface, triangles=_wound_alike(surface.triangles), notes=polygons.notes)
 
@@ -271,7 +271,7 @@ def _edge_keys(begin: np.ndarray, end: np.ndarray) -> np.ndarray:
     return keys
 
 
-def _components(ends: np.ndarray, count: int) -> tuple[int, np.ndarray]:
+def components(ends: np.ndarray, count: int) -> tuple[int, np.ndarray]:
     """How many parts of `count` things the pairs `ends` (e, 2) leave, and the part of each."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -300,7 +300,7 @@ def _wound_alike(triangles: np.ndarray) -> np.ndarray:
     pairs = np.concatenate(
         [np.stack([f, g + against], axis=1), np.stack([f + m, g + m - against], axis=1)]
     )
-    count, part = _components(pairs, 2 * m)
+    count, part = components(pairs, 2 * m)
     as_they_are = np.bincount(part[:m], minlength=count)
     turned = as_they_are[part[:m]] < as_they_are[part[m:]]
     # Of two as large ones the first triangle's own.
