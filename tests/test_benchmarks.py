@@ -128,6 +128,15 @@ def test_cloth_of_warp_is_ours(tmp_path):
         assert length == pytest.approx(lengths[tuple(sorted(pair))], abs=1e-6)
     assert set(theirs.spring_stiffness) == set(springs.stiffness)
     assert set(theirs.spring_damping) == set(springs.damping)
+    # A recorded frame has the bits of a launched one.
+    launched, recorded = (
+        warp_part.Theirs("warp", "WpIntegrator", ["cpu"], 9, str(tmp_path), recorded=recorded)
+        for recorded in (False, True)
+    )
+    for side in (launched, recorded):
+        side.advance(3)
+    np.testing.assert_array_equal(launched.positions(), recorded.positions())
+    assert np.abs(recorded.positions() - theirs.positions).max() > 1e-3
 
 
 # ------------------------------------------------------------------------------------------

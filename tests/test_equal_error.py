@@ -198,15 +198,24 @@ def test_newtons_triangles_are_our_springs():
 @thorough
 @pytest.mark.parametrize(("solver", "iterates"), newton_model.SOLVERS.values())
 def test_newtons_contacts_are_where_ours_are(solver, iterates):
-    """A sheet that falls on the sphere, over it and on the floor: free at first, never inside."""
+    """A sheet that falls on the sphere, over it and on the floor: free at first, never inside.
+
+    Recorded steps have the bits of launched ones, also in requests of an odd number.
+    """
     scene, steps = problems.drape(5), 16 if iterates else 96
     h, settings = 1 / 60 / steps, {"iterations": 10} if iterates else {}
     model = newton_model.model_of(scene, solver, 1e4)
     stepper = newton_model.Stepper(model, solver, **settings)
+    recorded = newton_model.Stepper(model, solver, recorded=True, **settings)
     stepper.advance(h, 2 * steps)
     fallen = scene.particles.position[:, 1] - stepper.positions()[:, 1]
     np.testing.assert_allclose(fallen, 9.81 / 2 * (2 / 60) ** 2, rtol=0.1)
     stepper.advance(h, 24 * steps)
+    recorded.prepare(h, 25)
+    for request in (25, 1, 26 * steps - 26):
+        recorded.advance(h, request)
+    np.testing.assert_array_equal(recorded.positions(), stepper.positions())
+    np.testing.assert_array_equal(recorded.velocities(), stepper.velocities())
     x = stepper.positions().astype(float)
     from_sphere = np.linalg.norm(x - [1.0, problems.RADIUS, 0.0], axis=1) - problems.RADIUS
     assert problems.NEAR / 2 < x[:, 1].min() < 2 * problems.NEAR
@@ -350,7 +359,7 @@ def test_ours_is_raced_on_all_cores_too(monkeypatch):
     """
     ours = next(contestants.kinds(True))
     bdf = next(k for k in contestants.kinds(True) if k.name == "SciPy, BDF")
-    assert ours.threads == bdf.threads == 1 and bdf.on(2) is ours.on(1) is None
+    assert ours.threads == bdf.threads == 1 and bdf.other_way(2) is ours.other_way(1) is None
     little(monkeypatch, [ours, bdf])
     bench = contest.Bench(rounds=2, quick=True)
     bench.threads = 2

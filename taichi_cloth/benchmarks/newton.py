@@ -2,7 +2,8 @@
 
 The semi-implicit solver integrates the same equations as ours; XPBD solves each spring as a
 constraint with its stiffness as compliance, twice a step (its default), so its error is its own.
-Both are the installed `newton`, with its contacts off; on the CPU it has one thread.
+Both are the installed `newton`, with its contacts off; on the CPU it has one thread. Steps are
+launched from Python, and recorded once and replayed, as its own examples do; ratios are to those.
 """
 
 from __future__ import annotations
@@ -42,10 +43,11 @@ def _measure_size(bench: Bench, side: int, frames: int) -> Iterator[Measurement]
     size = f"{side} x {side}"
     scene = (WARP, {"side": side})
     lanes = enter_ours(bench, PART, "ours, lanes", side, frames, "lanes", "f32")
-    peers = [_enter(bench, name, side, size, frames) for name in SOLVERS]
+    peers = [_enter(bench, name, side, size, frames, recorded=True) for name in SOLVERS]
+    launched = [_enter(bench, name, side, size, frames, recorded=False) for name in SOLVERS]
     checked = 2 * frames
     reference = ours.reference(bench, PART, scene, side * side, WARP_SUBSTEPS, [checked])
-    finished = bench.race(PART, [lanes, *peers], marks={checked})
+    finished = bench.race(PART, [lanes, *peers, *launched], marks={checked})
     against = f"{ours.AGAINST}, {checked / SECOND:g} s after the start"
     yield from bench.rows(PART, finished, reference, against)
     for peer in filter(None, peers):
@@ -55,12 +57,14 @@ def _measure_size(bench: Bench, side: int, frames: int) -> Iterator[Measurement]
         contestant.drop()
 
 
-def _enter(bench: Bench, name: str, side: int, size: str, frames: int) -> Contestant | None:
+def _enter(
+    bench: Bench, name: str, side: int, size: str, frames: int, recorded: bool
+) -> Contestant | None:
     return bench.enter(
         PART,
-        name,
+        f"{name}, {'recorded' if recorded else 'launched'}",
         f"{__name__}:Solver",
-        {"solver": newton_model.SOLVERS[name][0], "side": side},
+        {"solver": newton_model.SOLVERS[name][0], "side": side, "recorded": recorded},
         library="newton",
         precision="f32",
         threads=1,
@@ -75,8 +79,8 @@ def _enter(bench: Bench, name: str, side: int, size: str, frames: int) -> Contes
 class Solver:
     """A solver of Newton's on Warp's cloth, in the contestants' process; a unit is a frame."""
 
-    def __init__(self, solver: str, side: int):
-        self._stepper = Stepper(model_of(library.build("warp", side=side)), solver)
+    def __init__(self, solver: str, side: int, recorded: bool):
+        self._stepper = Stepper(model_of(library.build("warp", side=side)), solver, recorded)
 
     def advance(self, units: int) -> None:
         self._stepper.advance(WARP_FRAME / WARP_SUBSTEPS, units * WARP_SUBSTEPS)

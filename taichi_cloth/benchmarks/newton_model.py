@@ -33,6 +33,7 @@ SOLVERS = {
 OF_PANELS = "SolverStyle3D"  # the one that has triangles, and no springs
 PENALTIES = ("SolverSemiImplicit", "SolverVBD", OF_PANELS)  # contacts are springs with dashpots
 LINEAR_ITERATIONS = 20  # of Style3D's conjugate gradients in each of its iterations
+RECORDED = 32  # steps in a recording, at most: an even number, so that it ends where it began
 GAP = 0.1  # m, beyond a particle's radius: what it may go in a step, and still be seen to touch
 
 
@@ -203,12 +204,14 @@ def in_space(vectors: np.ndarray) -> np.ndarray:
 
 
 class Stepper:
-    """One of Newton's solvers on a scene of ours. solver: its class; the other words are its.
+    """One of Newton's solvers on a scene of ours. solver: its class; settings: those of its own.
 
-    A model with shapes is looked through for contacts in each step.
+    recorded: whether steps are recorded once and replayed (`wp.ScopedCapture`), as Newton's own
+    examples do; the bits are those of steps that Python launches. A model with shapes is looked
+    through for contacts in each step.
     """
 
-    def __init__(self, model: Any, solver: str, **settings: Any):
+    def __init__(self, model: Any, solver: str, recorded: bool = False, **settings: Any):
         import newton
 
         kind = getattr(newton.solvers, solver)
@@ -224,7 +227,10 @@ class Stepper:
         else:
             self._solver = kind(model, **settings)
         self._control = model.control()
-        self._now, self._next = model.state(), model.state()
+        self._states = model.state(), model.state()
+        self._now = 0  # which of both states is the present one
+        self._recorded = recorded
+        self._graphs: dict[tuple[float, int, int], Any] = {}  # by dt, steps, and the first state
         self._pipeline = self._contacts = None
         if model.shape_count:
             self._pipeline = newton.CollisionPipeline(model, soft_contact_gap=GAP)
@@ -232,19 +238,56 @@ class Stepper:
 
     def advance(self, dt: float, steps: int) -> None:
         """So many steps of dt."""
-        for _ in range(steps):
-            self._now.clear_forces()
-            if self._pipeline is not None:
-                self._pipeline.collide(self._now, self._contacts)
-            self._solver.step(self._now, self._next, self._control, self._contacts, dt)
-            self._now, self._next = self._next, self._now
+        if not self._recorded:
+            self._launch(dt, steps)
+            return
+        import warp
+
+        for part in _parts(steps):
+            warp.capture_launch(self._graph(dt, part))
+            self._now = (self._now + part) % 2
+
+    def prepare(self, dt: float, steps: int) -> None:
+        """Record what so many steps of dt replay, where steps are recorded; do none of them."""
+        now = self._now
+        for part in _parts(steps) if self._recorded else ():
+            self._graph(dt, part)
+            self._now = (self._now + part) % 2
+        self._now = now
 
     def positions(self) -> np.ndarray:
         """(n, 3), float32."""
-        x: np.ndarray = self._now.particle_q.numpy()
+        x: np.ndarray = self._states[self._now].particle_q.numpy()
         return x
 
     def velocities(self) -> np.ndarray:
         """(n, 3), float32."""
-        v: np.ndarray = self._now.particle_qd.numpy()
+        v: np.ndarray = self._states[self._now].particle_qd.numpy()
         return v
+
+    def _graph(self, dt: float, steps: int) -> Any:
+        """What replays so many steps from the present state; recording it changes no state."""
+        key = dt, steps, self._now
+        if key not in self._graphs:
+            import warp
+
+            with warp.ScopedCapture(device="cpu") as capture:
+                self._launch(dt, steps)
+            self._now = key[2]
+            self._graphs[key] = capture.graph
+        return self._graphs[key]
+
+    def _launch(self, dt: float, steps: int) -> None:
+        for _ in range(steps):
+            now, after = self._states[self._now], self._states[1 - self._now]
+            now.clear_forces()
+            if self._pipeline is not None:
+                self._pipeline.collide(now, self._contacts)
+            self._solver.step(now, after, self._control, self._contacts, dt)
+            self._now = 1 - self._now
+
+
+def _parts(steps: int) -> list[int]:
+    """Steps of the recordings that make up so many; all but the last one are alike."""
+    whole, rest = divmod(steps, RECORDED)
+    return [RECORDED] * whole + [rest] * (rest > 0)

@@ -2,9 +2,10 @@
 
 On each scene every solver is run in ever finer settings (`search`), each run beside its error
 against one reference (`truth`); the cheapest setting that meets a level is its best. The best of
-all solvers are timed once more, by turns in one run, and their ratios are of these times: of ours
-on all cores, too, which peers do not use; its bits, and so its errors, are the same. Times are of
-all frames in one request: ours in one call, Newton's step by step, SciPy's as one integration.
+all solvers are timed once more, by turns in one run, and their ratios are of these times. Ours is
+timed on one thread and on all cores, Newton recorded once and replayed and launched from Python:
+the bits, and so the errors, are the same, and the faster counts. Times are of all frames in one
+request: ours in one call, Newton's in recordings of 32 steps, SciPy's as one integration.
 """
 
 from __future__ import annotations
@@ -66,12 +67,12 @@ RACE = 120.0
 class _Best:
     """A setting that is its group's cheapest at some level, and its seconds a frame by round.
 
-    by_all: the same on all cores, for a solver that runs on more than one.
+    other: the same run in another way, for a solver that has one (`Kind.other_way`).
     """
 
     entrant: Entrant
     tried: Tried
-    by_all: _Best | None = None
+    other: _Best | None = None
     seconds: list[float] = field(default_factory=list)
 
     @property
@@ -81,8 +82,8 @@ class _Best:
 
     @property
     def quickest(self) -> _Best:
-        """The one on all cores, where that is the quicker."""
-        return min((self, self.by_all or self), key=lambda one: one.median)
+        """The one that is run in the other way, where that is the quicker."""
+        return min((self, self.other or self), key=lambda one: one.median)
 
 
 def measure(bench: Bench) -> Iterator[Measurement]:
@@ -253,14 +254,14 @@ def _best_of(
             entrant = next(entrant for entrant, done in pairs if done is found)
             key = entrant.kind.name, found.choice
             if key not in made:
-                made[key] = _Best(entrant, found, _by_all(bench, entrant, found))
+                made[key] = _Best(entrant, found, _other(bench, entrant, found))
             best[group, level] = made[key]
     return best
 
 
-def _by_all(bench: Bench, entrant: Entrant, tried: Tried) -> _Best | None:
-    """What an entrant has tried, on all cores."""
-    kind = entrant.kind.on(bench.threads)
+def _other(bench: Bench, entrant: Entrant, tried: Tried) -> _Best | None:
+    """What an entrant has tried, run in the other way."""
+    kind = entrant.kind.other_way(bench.threads)
     return _Best(replace(entrant, kind=kind, about={}, tried=[]), tried) if kind else None
 
 
@@ -269,7 +270,7 @@ def _race(bench: Bench, problem: Problem, best: list[_Best], frames: int) -> Non
 
     Raises TimeIsUp where there is not the time for it.
     """
-    running = [runs for one in best for runs in (one, one.by_all) if runs is not None]
+    running = [runs for one in best for runs in (one, one.other) if runs is not None]
     a_round = sum(frames * (one.tried.seconds or 0.0) for one in running)
     if min((bench.rounds + 1) * a_round, RACE + a_round) > bench.piece.clock.left():
         raise TimeIsUp
@@ -293,9 +294,9 @@ def _where(problem: Problem, level: float) -> str:
 def _rows(
     problem: Problem, truth: Truth, best: dict[tuple[str, float], _Best]
 ) -> Iterator[Measurement]:
-    """By level, then by group: its cheapest setting, timed by turns, and that on all cores."""
+    """By level, then by group: its cheapest setting, timed by turns, in each way it is run."""
     for (_, level), one in sorted(best.items(), key=lambda item: -item[0][1]):
-        for runs in (one, one.by_all):
+        for runs in (one, one.other):
             if runs is not None and runs.seconds:
                 yield _row(problem, truth, level, runs)
 
@@ -304,12 +305,12 @@ def _row(problem: Problem, truth: Truth, level: float, one: _Best) -> Measuremen
     """A setting that is the cheapest at a level."""
     low, middle, high = quartiles(one.seconds)
     kind = one.entrant.kind
-    threads = f", {kind.threads} threads" * (kind.threads > 1)
-    member = kind.name.removeprefix(kind.group).removeprefix(", ").removesuffix(threads)
+    way = f", {kind.way}" * bool(kind.way)
+    member = kind.name.removeprefix(kind.group).removeprefix(", ").removesuffix(way)
     setting = ", ".join(filter(None, [member, one.tried.choice.describe()]))
     return Measurement(
         part=PART,
-        contestant=f"{kind.group}{threads}: {setting}",
+        contestant=f"{kind.group}{way}: {setting}",
         size=_where(problem, level),
         precision=kind.precision,
         threads=kind.threads,
@@ -331,13 +332,13 @@ def _ratio(
 ) -> Iterator[Measurement]:
     """How many times as long as ours the best peer takes at a level; none where either lacks.
 
-    It is that of the quickest of ours, and where that is on all cores, of one thread, too.
+    Of each the faster way counts; where that of ours is on all cores, one thread has a row, too.
     """
     mine = best.get((OURS, level))
     peers = [b for (group, at), b in best.items() if at == level and group != OURS and b.seconds]
     if mine is None or not mine.quickest.seconds or not peers:
         return
-    peer = min(peers, key=lambda b: b.median)
+    peer = min((b.quickest for b in peers), key=lambda b: b.median)
     compared = {"ours": mine.quickest}
     if mine.quickest is not mine and mine.seconds:
         compared["ours, one thread"] = mine

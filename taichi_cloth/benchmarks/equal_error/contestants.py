@@ -39,7 +39,8 @@ ALONE = 1  # threads of everyone in the search, and of peers always: they have n
 class Kind:
     """A solver: its group, of whose members the cheapest counts; its name; its class in a process.
 
-    ladders: choices to climb, each ladder coarsest first. package: what has to be installed.
+    ladders: choices to climb, each ladder coarsest first. package: what has to be installed. way:
+    how it is run, in words, where the same bits can be had in more than one way.
     """
 
     group: str
@@ -49,6 +50,7 @@ class Kind:
     ladders: tuple[tuple[Choice, ...], ...]
     precision: str = "f64"
     package: str = "taichi"
+    way: str = ""
 
     @property
     def threads(self) -> int:
@@ -56,13 +58,16 @@ class Kind:
         threads: int = self.arguments.get("threads", ALONE)
         return threads
 
-    def on(self, threads: int) -> Kind | None:
-        """The same on so many threads, with the same bits; None: it runs on one alone."""
-        if threads == self.threads or "execution" not in self.arguments:
+    def other_way(self, threads: int) -> Kind | None:
+        """The same with the same bits: ours on so many threads, Newton launched from Python."""
+        arguments = self.arguments
+        if "execution" in arguments and threads != self.threads:
+            more, way = {"threads": threads, "execution": "parallel"}, f"{threads} threads"
+        elif arguments.get("recorded"):
+            more, way = {"recorded": False}, "launched"
+        else:
             return None
-        more = {"threads": threads, "execution": "parallel"}
-        name = f"{self.name}, {threads} threads"
-        return replace(self, name=name, arguments=self.arguments | more)
+        return replace(self, name=f"{self.name}, {way}", arguments=arguments | more, way=way)
 
 
 def kinds(quick: bool, touching: bool = False) -> Iterator[Kind]:
@@ -77,9 +82,9 @@ def kinds(quick: bool, touching: bool = False) -> Iterator[Kind]:
         ladders = [_steps(iterations=count) for count in (counts if iterates else (None,))]
         trial = f"{HERE}.newton_runs:NewtonTrial"
         for k in CONTACTS if touching and solver in newton_model.PENALTIES else (0.0,):
-            arguments = {"solver": solver, "contact_stiffness": k}
+            arguments = {"solver": solver, "contact_stiffness": k, "recorded": True}
             full = f"{name}, contacts of {k:g} N/m" if k else name
-            yield Kind(name, full, trial, arguments, tuple(ladders), "f32", "newton")
+            yield Kind(name, full, trial, arguments, tuple(ladders), "f32", "newton", "recorded")
     ladder = tuple(Choice(tolerance=tolerance) for tolerance in TOLERANCES)
     for name, solver in SCIPY.items():
         trial = f"{HERE}.scipy_runs:ScipyTrial"

@@ -16,12 +16,14 @@ class NewtonTrial:
     """Runs in the contestants' process, asked as `trade.trial.Trial` is.
 
     scene: file of a pickled `Scene`. solver: the name of Newton's class. contact_stiffness: of its
-    contacts, where they are springs.
+    contacts, where they are springs. recorded: whether steps are recorded and replayed.
     """
 
-    def __init__(self, scene: str, solver: str, contact_stiffness: float = 0.0):
+    def __init__(
+        self, scene: str, solver: str, contact_stiffness: float = 0.0, recorded: bool = True
+    ):
         self._scene = pickle.loads(Path(scene).read_bytes())
-        self._solver = solver
+        self._solver, self._recorded = solver, recorded
         self._model = model_of(self._scene, solver, contact_stiffness)
         self._compiled = False
 
@@ -53,6 +55,7 @@ class NewtonTrial:
         seconds: list[float] = []
         while not seconds or sum(seconds) < budget:
             stepper = self._begin(solver)
+            stepper.prepare(dt / substeps, substeps * frames)
             begin = time.perf_counter()
             stepper.advance(dt / substeps, substeps * frames)
             seconds.append(time.perf_counter() - begin)
@@ -65,7 +68,7 @@ class NewtonTrial:
             self._compiled = True
 
     def _begin(self, settings: dict[str, Any]) -> Stepper:
-        return Stepper(self._model, self._solver, **settings)
+        return Stepper(self._model, self._solver, self._recorded, **settings)
 
 
 def _state(stepper: Stepper, dim: int) -> np.ndarray:
