@@ -49,6 +49,12 @@ def test_what_is_given_anew_is_used_anew(sim):
             result = found(given)
         assert result == expected
         np.testing.assert_array_equal(numbers, [*range(start), *[0] * (length - start)])
+    numbers[:] = 1.0  # the same array, with other contents, and another number
+    again = state, 0, numbers, 3.0
+    assert launches.find(mix, again)(again) == 2 * (1.0 + 3.0 * count)
+    other = state, 0, np.full(7, 2.0), 1.0
+    assert launches.find(mix, other)(other) == 7 * (2.0 + count)
+    assert launches.find(mix, again)(again) == 2 * 3.0 * count
 
 
 def test_other_kinds_of_arguments_are_found_apart(sim):

@@ -245,42 +245,48 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
 
     def _advance_batch(self, frames: int) -> int:
         """Advance by those of some frames that share a launch; return how many they are."""
+        storage = self.storage
         # A push lasts one frame, and what breaks may change the next; else they share a launch.
-        follows = self._auto is not None and self._auto.follows(self.storage)
-        single = self.storage.pushed or follows or bool(self.listeners)
-        batch = 1 if single else min(frames, self._frames_per_launch())
-        passed = self._advance_together(batch)
+        follows = self._auto is not None and self._auto.follows(storage)
+        single = storage.pushed or follows or bool(self.listeners)
+        batch = 1 if single else min(frames, self._frames_per_launch(storage.scene))
+        passed = self._advance_together(storage, batch)
         self.frame += passed
         if passed < batch:
             self._fail()
-        self.storage.end_push()
+        storage.end_push()
         if self.past is not None:
             self.past.after_frames(self)
         for listener in self.listeners:
             listener.after_frame()
         if self._auto and follows:
-            chosen = self._auto.after_frame(self.storage, self.substeps)
+            chosen = self._auto.after_frame(storage, self.substeps)
             if self._take_substeps(chosen):
-                self.storage.set_numbers(self._numbers())
+                storage.set_numbers(self._numbers())
         return batch
 
-    def _advance_together(self, frames: int) -> int:
+    def _advance_together(self, storage: Storage, frames: int) -> int:
         """Advance frames that share a launch, and return how many passed the watchdog."""
-        begin, of_threads = time.perf_counter(), time.process_time()
-        passed = self._launch_frames(frames)
         self.changes_over = False
-        if self._watch:
-            seconds = time.perf_counter() - begin
-            wanted = seconds * self.storage.specialization.threads
-            had = (time.process_time() - of_threads) / wanted
-            self._heed(self._watch, seconds, frames * self.substeps, had)
+        watch = self._watch
+        # One thread waits for nobody, and what was asked for teaches nothing.
+        if watch is None or (storage.specialization.threads == 1 and "auto" not in self._requested):
+            return self._launch_frames(storage, frames)
+        begin, of_threads = time.perf_counter(), time.process_time()
+        passed = self._launch_frames(storage, frames)
+        seconds = time.perf_counter() - begin
+        wanted = seconds * storage.specialization.threads
+        had = (time.process_time() - of_threads) / wanted
+        self._heed(watch, seconds, frames * self.substeps, had)
         return passed
 
-    def _launch_frames(self, frames: int) -> int:
-        self.storage.begin(self.steps)
-        spec, state = self.storage.specialization, self.storage.state
-        passed = self._launcher.advance(spec, state, self.steps, frames, self.substeps)
-        self._work += self.storage.take_work()
+    def _launch_frames(self, storage: Storage, frames: int) -> int:
+        steps = self.steps
+        storage.begin(steps)
+        spec, state = storage.specialization, storage.state
+        passed = self._launcher.advance(spec, state, steps, frames, self.substeps)
+        if self._module.claims.forces == 0:  # the work of a step is not known beforehand
+            self._work += storage.take_work()
         return passed
 
     def _heed(self, watch: autotune.Watch, seconds: float, steps: int, had: float) -> None:
@@ -305,7 +311,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
     def _time_launch(self) -> float:
         """Seconds that a launch without frames takes."""
         begin = time.perf_counter()
-        self._launch_frames(0)
+        self._launch_frames(self.storage, 0)
         return time.perf_counter() - begin
 
     def kind_of_run(self) -> str:
@@ -315,8 +321,8 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
     def _prediction(self) -> Prediction:
         return Prediction(self.storage, self._launcher, self.substeps, self.method, self._module)
 
-    def _frames_per_launch(self) -> int:
-        size = self.particle_count + self.spring_count
+    def _frames_per_launch(self, scene: Scene) -> int:
+        size = len(scene.particles) + len(scene.springs)
         return self._launcher.frames_per_launch(self.substeps, size)
 
     def _fail(self) -> None:

@@ -121,16 +121,12 @@ class Download(DeviceState):
         return int(self._launcher.launch(watchdog.last_fault, self.state))
 
     def take_work(self) -> np.ndarray:
-        """Counts of the solver's work since the last call, (3,): `kernels.state.WORK`.
-
-        They are 0 where a step's work is known beforehand.
-        """
+        """Counts of the solver's work since the last call, (3,): `kernels.state.WORK`."""
         work = np.zeros(len(WORK), np.int32)
-        if self._method.claims.forces == 0:
-            if self.state.memory is not None:
-                work[:] = readback.work_in_memory(self.state)
-            else:
-                self._launcher.launch(readback.take_work, self.state, work)
+        if self.state.memory is not None:
+            work[:] = readback.work_in_memory(self.state)
+        else:
+            self._launcher.launch(readback.take_work, self.state, work)
         return work
 
     def take_unsettled(self) -> np.ndarray:
