@@ -509,6 +509,13 @@ def test_ours_and_newtons_solve_the_same_cloth(monkeypatch):
         rows = list(equal_error.measure(bench))
     finally:
         bench.close()
-    met = {row.contestant.partition(":")[0] for row in rows if row.seconds and row.size == AT_ONE}
+    timed = [row for row in rows if row.seconds and row.size == AT_ONE]
+    met = {row.contestant.partition(":")[0]: row for row in timed}
     cores = bench.threads
-    assert met == {"ours", *[f"ours, {cores} threads"] * (cores > 1), *with_springs}
+    ways = [f"{name}, {way}" for name in with_springs for way in ("recorded", "launched")]
+    assert set(met) == {"ours", *[f"ours, {cores} threads"] * (cores > 1), *ways}
+    assert all("spring_stiffness is k" in met[way].note for way in ways)
+    (ratio,) = [row for row in rows if row.size == AT_ONE and row.target]
+    fastest = min(met[way].seconds for way in ways)
+    ours = min(row.seconds for name, row in met.items() if name.startswith("ours"))
+    assert ratio.rate == pytest.approx(fastest / ours)

@@ -81,6 +81,7 @@ class Solver:
 
     def __init__(self, solver: str, side: int, recorded: bool):
         self._stepper = Stepper(model_of(library.build("warp", side=side)), solver, recorded)
+        self.about = {"note": newton_model.material_of(solver)}
 
     def advance(self, units: int) -> None:
         self._stepper.advance(WARP_FRAME / WARP_SUBSTEPS, units * WARP_SUBSTEPS)

@@ -31,6 +31,13 @@ SOLVERS = {
     "Newton, Style3D": ("SolverStyle3D", True),
 }
 OF_PANELS = "SolverStyle3D"  # the one that has triangles, and no springs
+# What our material is in Newton's numbers. tri_ka, edge_ke and tri_drag mean another thing in each
+# of its solvers (1.8.0), so that none of them is used.
+SPRINGS_AS = "spring_stiffness is k, spring_damping the dashpot; no tri_ka, edge_ke, tri_drag"
+PANELS_AS = (
+    "tri_aniso_ke is k L / W along the sides of a cell of L x W, twice that at an edge, without "
+    "shear; no tri_ka, edge_ke, tri_drag"
+)
 PENALTIES = ("SolverSemiImplicit", "SolverVBD", OF_PANELS)  # contacts are springs with dashpots
 LINEAR_ITERATIONS = 20  # of Style3D's conjugate gradients in each of its iterations
 RECORDED = 32  # steps in a recording, at most: an even number, so that it ends where it began
@@ -82,6 +89,11 @@ def model_of(scene: Scene, solver: str = "", contact_stiffness: float = 0.0) -> 
     model.soft_contact_ke, model.soft_contact_kd = contact_stiffness, damping
     model.soft_contact_mu = 0.0
     return model
+
+
+def material_of(solver: str) -> str:
+    """What springs of ours are in the numbers of a solver, in words."""
+    return f"material: {PANELS_AS if solver == OF_PANELS else SPRINGS_AS}"
 
 
 def lacking(scene: Scene, solver: str = "") -> str:

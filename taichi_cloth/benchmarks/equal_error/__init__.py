@@ -323,6 +323,7 @@ def _row(problem: Problem, truth: Truth, level: float, one: _Best) -> Measuremen
         against=f"the reference of {problem.name} over {truth.frames} frames, RMS, in parts of "
         f"the largest displacement: {truth.what}",
         rounds=len(one.seconds),
+        note=kind.material,
         versions=machine.versions(PACKAGES.get(kind.package, (kind.package,))),
     )
 

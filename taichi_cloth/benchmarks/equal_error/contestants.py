@@ -58,6 +58,12 @@ class Kind:
         threads: int = self.arguments.get("threads", ALONE)
         return threads
 
+    @property
+    def material(self) -> str:
+        """What our material is to it, where it takes other numbers."""
+        of_newton = self.package == "newton"
+        return newton_model.material_of(self.arguments["solver"]) if of_newton else ""
+
     def other_way(self, threads: int) -> Kind | None:
         """The same with the same bits: ours on so many threads, Newton launched from Python."""
         arguments = self.arguments
