@@ -248,7 +248,8 @@ def run(case):
             contextlib.redirect_stdout(out),
             contextlib.redirect_stderr(err),
         ):
-            status = run_command([*case.command(), "--report", str(Path(folder) / "a.html")])
+            page = str(Path(folder) / "a.html")
+            status = run_command([*case.command(), "--survivors", "--report", page])
     finally:
         examining.examine = genuine
     if not found:

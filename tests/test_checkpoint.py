@@ -18,7 +18,7 @@ import taichi_cloth as tc
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods, persistence
 from taichi_cloth.kernels.state import State
-from taichi_cloth.scene import library, scenefile
+from taichi_cloth.scene import scenefile
 from taichi_cloth.scene.library import build
 from taichi_cloth.simulation.simulation import Simulation
 
@@ -102,7 +102,6 @@ def test_every_scene_goes_on_to_the_same_bits_in_new_fields(name, tmp_path):
     fills.
     """
     scene, settings = build(name), {"topology": "graph", "execution": "serial"}
-    settings["dt"] = library.frame(name)
     sim = Simulation(scene, **settings)
     sim.advance(4)
     if scene.world.mouse == "spawn":

@@ -12,7 +12,6 @@ from taichi_cloth.errors import InputError
 from taichi_cloth.files.events import Recorder
 from taichi_cloth.kernels import methods
 from taichi_cloth.limits.eigenmodes import stable_step
-from taichi_cloth.scene import library
 from taichi_cloth.scene.library import build
 from taichi_cloth.simulation import live
 from taichi_cloth.simulation.running_costs import WARM, FrameCost, RunningCosts
@@ -54,7 +53,7 @@ SETTABLE = ["cloth", "box", "chain", "oscillator", "flag", "drape"]
 @pytest.mark.parametrize("name", mostly_thorough(SETTABLE, ["cloth"]))
 def test_every_setting_is_read_back_and_restored(name):
     scene = build(name)
-    sim = Simulation(scene, dt=library.frame(name), **HOW)
+    sim = Simulation(scene, **HOW)
     sim.advance(2)
     settings = live.settings_of(sim)
     assert len({setting.name for setting in settings}) == len(settings)

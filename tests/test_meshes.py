@@ -559,7 +559,7 @@ def test_a_mesh_hangs_from_its_highest_points(tmp_path):
     source = SceneSource(str(tmp_path / "ball.ply"))
     scene = source.build()
     x, fixed = scene.particles.position, scene.particles.fixed
-    assert scene.name == "ball" and scene.world.up == "y" and source.frame() == "auto"
+    assert scene.name == "ball" and scene.world.up == "y" and scene.world.substeps == "auto"
     assert scene.particles.mass.sum() == pytest.approx(0.15 * ball.area)
     assert 0 < fixed.sum() < len(x) and x[fixed, 1].min() > x[~fixed, 1].max()
     assert (x > scene.world.low + 1).all() and (x < scene.world.high - 1).all()

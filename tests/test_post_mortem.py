@@ -294,9 +294,13 @@ def test_what_is_kept_for_it_changes_no_bit():
     np.testing.assert_array_equal(*ends)
 
 
+def flat(words):
+    return " ".join(words.split())
+
+
 def test_a_window_stays_and_goes_on_with_what_survives():
-    """The panel opens, a frame back is seen, and u plays on from before with other substeps; also
-    where a log is replayed, which goes on past the failure.
+    """The panel opens, k has settings tried, a frame back is seen, and u plays on from before with
+    other substeps; also where a log is replayed, which goes on past the failure.
     """
     scene = build("cloth", columns=12, rows=9)
     sim = Simulation(scene, dt=1.9, topology="graph", execution="serial")
@@ -308,6 +312,8 @@ def test_a_window_stays_and_goes_on_with_what_survives():
 
     turns = [
         *[[]] * 60,
+        press("u"),  # nothing survives yet
+        press("k"),  # which tries
         press("k"),
         press("k"),
         press("."),
@@ -321,6 +327,10 @@ def test_a_window_stays_and_goes_on_with_what_survives():
     view, examiner = Seen(scene.world, turns), Examining(sim, ["cloth"])
     app.run(sim, view, quiet=True, examiner=examiner, replay=log)
     assert any("Numerics: the step is too long" in words for words in seen)
+    untried = [k for k, words in enumerate(seen) if "k looks for a setting" in flat(words)]
+    tried = [k for k, words in enumerate(seen) if "u: go on with it from the start" in flat(words)]
+    assert untried and tried and max(untried) < min(tried)
+    assert any("k looks for one first" in flat(words) for words in seen)
     closed = [words for words in seen if "Stopped: " in words and "Numerics: " not in words]
     assert closed and "u goes on with what survives" in closed[-1].replace("\n", " ")
     assert sum(hud.STOPPED in words for words in seen) == 2  # until the key back
@@ -340,10 +350,12 @@ def test_a_run_that_fails_leaves_its_report(cli, tmp_path):
     assert err.count("error:") == 1 and f"report: {tmp_path / 'run.report.html'}" in out
     # One cause in both: what the error calls likely without a report is known with one.
     assert "cause: the step is too long for spring" in out
+    # What the warning named is said again; nothing was tried, which nobody asked for.
+    remedy = "use --substeps 3, a smaller --dt, or softer springs; --survivors looks for a setting"
+    assert "use --substeps 3, --dt auto" in err and err.count(remedy) == 1 and remedy in out
+    assert "What was tried" not in (tmp_path / "run.report.html").read_text()
     assert "; cause: the step is too long for spring" in err and "likely" not in err
-    assert saved.exists() and "taichi-cloth run cloth --columns 12" in (
-        (tmp_path / "run.report.html").read_text()
-    )
+    assert saved.exists()
     cli(*words[:-2], "--frames", 30, "--report", tmp_path / "good.html")
     assert "nothing went wrong" in (tmp_path / "good.html").read_text()
     _, err = cli(*words, "--report", tmp_path / "no" / "x.html", check=2)
@@ -358,7 +370,10 @@ def test_what_survives_of_a_run_that_was_resumed_runs(cli, tmp_path):
     words = "run", "cloth", "--columns", 12, "--rows", 9, "--headless"
     there, page = tmp_path / "there.npz", tmp_path / "page.html"
     cli(*words, "--frames", 12, "--checkpoint", there)
-    cli(*words, "--resume", there, "--dt", 1.9, "--report", page, check=3)
+    again = "--resume", there, "--dt", 1.9, "--survivors"
+    out, _ = cli(*words, *again, check=3)  # without a file for a page: said all the same
+    assert "--substeps 3 survives" in out and "report" not in out
+    cli(*words, *again, "--report", page, check=3)
     (given,) = set(re.findall("taichi-cloth (run cloth [^<]*)", page.read_text()))
     assert f"--resume {there}" in given and "without" not in given
     out, _ = cli(*given.split(), "--headless", "--frames", 80)

@@ -114,7 +114,7 @@ def test_a_run_has_the_bits_of_one_without(topology, few_lanes, monkeypatch):
     """A method in phases, with a pin, a finer step and a reset between frames."""
 
     def run():
-        sim = Simulation(small.build("net"), "tr_bdf2", topology=topology)
+        sim = Simulation(small.build("net"), "tr_bdf2", substeps=1, topology=topology)
         for k in range(9):
             sim.advance()
             if k == 1:

@@ -68,7 +68,7 @@ def test_windows_of_scripts_say_why_a_run_failed(pool, monkeypatch):
     examiner = tc.show(sim, view="none", frames=1)
     with pytest.raises(SimulationFailure):
         sim.advance(200)
-    finding = examiner.examine(lambda words: None)
+    finding = examiner.examine(lambda words: None, tries=True)
     assert finding.numerical and finding.settings["substeps"] > 1
 
 

@@ -71,7 +71,7 @@ class Twin(Listener):
         self.first, self.sim, self.given = first, sim, given
         self.own = [_taken(sim, name, text) for name, text in given.scene.items()]
         if self.own:  # from the start, so that a reset goes there
-            dt, substeps = (None, 1) if sim.follows else (sim.dt, sim.substeps)
+            dt, substeps = (None, None) if sim.follows else (sim.dt, sim.substeps)
             with _told_as_beside():
                 sim.load_scene(sim.storage.scene, dt, substeps)
         if resumed:

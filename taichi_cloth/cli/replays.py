@@ -113,7 +113,8 @@ def _scene(source: SceneSource, path: Path, log: Log) -> Scene:
         )
     if log.header.get("arguments"):
         given = RunOptions(events=str(path))
-        return run_options.scene_as_recorded(source, given, log.header["arguments"]).build()
+        scene = run_options.scene_as_recorded(source, given, log.header["arguments"]).build()
+    run_options.check_same_rules(RunOptions(events=str(path)), log, scene)
     return scene
 
 

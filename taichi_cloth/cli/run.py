@@ -56,8 +56,7 @@ def main(source: SceneSource, options: RunOptions) -> int:
     if options.dt == "auto" and "substeps" in options.given:
         raise InputError("--substeps: --dt auto chooses them; give one of the two")
     scene = source.build()
-    if not options.given & {"dt", "substeps"}:
-        options = replace(options, dt=source.frame())
+    options = run_options.of_scene(options, scene.world)
 
     from taichi_cloth.ui import interaction
 
@@ -71,6 +70,7 @@ def main(source: SceneSource, options: RunOptions) -> int:
             scene = source.build()
     resumed = run_options.resumed(options)
     run_options.check_same_start(options, log, resumed)
+    run_options.check_same_rules(options, log, scene)
     if resumed:
         options, source = run_options.as_saved(source, scene.name, options, resumed, log)
         scene = source.build()
@@ -137,6 +137,8 @@ def _run_in(window: Window, run: Run, device: Device) -> int:
         files.recorder.write_header(run_files.header(source, header, beside))
     if not options.quiet:
         run_notes.announce(sim, device, view)
+        if options.verbose:
+            run_notes.tell_assumed(run.of.scene)
         if beside:
             print(f"beside it: {beside.names()[1]}", flush=True)
         run_notes.note_passing(source, run.of.scene)
@@ -165,7 +167,7 @@ def _run_in(window: Window, run: Run, device: Device) -> int:
             scenes=window.scenes,
             errors=errors,
             beside=beside,
-            examiner=run_report.Examining(sim, words),
+            examiner=run_report.Examining(sim, words, options.survivors),
             budget=budget,
             **_of_frames(options, view),
         )

@@ -19,6 +19,7 @@ from taichi_cloth.files.recordings import Recordings
 from taichi_cloth.files.trajectory import Trajectory
 from taichi_cloth.scene.fingerprint import scene_hash
 from taichi_cloth.scene.model import Scene
+from taichi_cloth.scene.rules import MODEL
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import RunOptions
 from taichi_cloth.version import __version__
@@ -171,6 +172,7 @@ def _meta(source: SceneSource, began: Scene, sim: Simulation, device: Device) ->
         "arguments": source.flags(),
         "scene_source": source.as_json(),
         "scene_hash": scene_hash(began),
+        "model": MODEL,
         "method": sim.method,
         **sim.solver,  # the last ones, too
         "dt": sim.dt,

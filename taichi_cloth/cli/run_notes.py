@@ -82,6 +82,12 @@ def announce(sim: Simulation, device: Device, view: View) -> None:
             say(f"note: and {len(widened) - MOST_NOTES} more such")
 
 
+def tell_assumed(scene: Scene) -> None:
+    """Say what a scene's file leaves open, and what is taken for it."""
+    for key, words in scene.assumed.items():
+        print(f"  {key} = {words}")
+
+
 def note_passing(source: SceneSource, scene: Scene) -> None:
     """Say on standard error that a mesh file passes through itself, where nobody asked for that."""
     asked = any(entry.keys[-1] == "thickness" for entry in source.assignments)

@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING, Any
 from taichi_cloth.cli import run_beside, run_kernels, scene_command
 from taichi_cloth.errors import InputError
 from taichi_cloth.files.pending import is_device
+from taichi_cloth.scene import rules
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import SOLVER_SETTINGS, WRITES, RunOptions, check_run, flag
 
 if TYPE_CHECKING:
+    from taichi_cloth.scene.model import Scene, World
     from taichi_cloth.simulation import saved
     from taichi_cloth.simulation.past import Settings
     from taichi_cloth.ui.interaction import Log
@@ -27,6 +29,8 @@ def consistent(options: RunOptions) -> RunOptions:
         if options.view not in ("auto", "none"):
             raise InputError(f"--headless and --view {options.view} exclude each other; give one")
         options = replace(options, view="none")
+    if options.quiet and options.verbose:
+        raise InputError("--quiet and --verbose exclude each other; give one")
     _check_written(options)
     return options
 
@@ -67,6 +71,17 @@ def check_inputs_stay(source: SceneSource, options: RunOptions) -> None:
                 continue
             if os.path.realpath(result) == os.path.realpath(path):
                 raise InputError(f"{given} {result}: would overwrite {what}; name another file")
+
+
+def of_scene(options: RunOptions, world: World) -> RunOptions:
+    """The options with the scene's steps, where they say nothing of them."""
+    given = options.given & {"dt", "substeps"}
+    if "substeps" in given or (given and options.dt == "auto"):
+        return options
+    dt = options.dt if given else None
+    if isinstance(world.substeps, int):
+        return replace(options, dt=dt, substeps=world.substeps)
+    return replace(options, dt=dt if given else "auto", substeps=1)
 
 
 def as_recorded(options: RunOptions, header: Mapping[str, Any]) -> RunOptions:
@@ -124,6 +139,12 @@ def check_same_start(options: RunOptions, log: Log | None, resumed: saved.Saved 
             f"{options.events} line 1: the session went on from a checkpoint at frame {began}, and "
             f"this run begins at frame {here}; name that checkpoint: --resume FILE.npz"
         )
+
+
+def check_same_rules(options: RunOptions, log: Log | None, scene: Scene) -> None:
+    """Refuse to replay a session of this scene whose rules have changed since."""
+    if log and log.header and log.header.get("scene", scene.name) == scene.name:
+        rules.refuse_changed(scene, log.header, f"{options.events} line 1")
 
 
 def settings_of(parts: Mapping[str, Any]) -> dict[str, Any]:

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from taichi_cloth.ui.chrome.why import Finding
 
 PATIENCE = 5.0  # seconds that a window waits for the trials
+UNTRIED = "--survivors looks for a setting that survives, by running it"
+UNTRIED_HERE = "k looks for a setting that survives, by running it"
 OWN = ("method", "dt", "substeps")  # settings of every run, in the order in which they are set
 # Flags that are to be the same where a run is made again.
 ALIKE = (
@@ -47,15 +49,15 @@ def written(
     one also where it is interrupted, unless that happens once more.
 
     words: as `words_of` makes them. file: what `--report` began; None: a run that fails has its
-    report beside the other files that it writes, and without any it has none. A failure of which a
-    report was written says the cause that stands there.
+    report beside the other files that it writes, and without any it has none. A failure that was
+    looked into, for a report or for `--survivors`, says the cause that was found.
     """
     sim.past.keeps = True  # type: ignore[union-attr]
     try:
         yield
     except SimulationFailure as failure:
         place = file or _beside(options)
-        if place is not None:
+        if place is not None or options.survivors:
             with contextlib.suppress(InputError):  # a full disk: the failure is what to tell
                 _write(sim, place, words, options, failure)
         raise
@@ -69,14 +71,16 @@ def written(
 
 class Examining:
     """Finds out for a window why its run failed. words: as `words_of` makes them; of a window that
-    a script opened none.
+    a script opened none. tries: whether settings are tried unasked.
     """
 
-    def __init__(self, sim: Simulation, words: Sequence[str] = ()) -> None:
-        self._sim, self._words = sim, words
+    def __init__(self, sim: Simulation, words: Sequence[str] = (), tries: bool = False) -> None:
+        self._sim, self._words, self._tries = sim, words, tries
 
-    def examine(self, tell: Callable[[str], None]) -> Finding | None:
-        """What there is to say; tell: called with what is being tried."""
+    def examine(self, tell: Callable[[str], None], tries: bool) -> Finding | None:
+        """What there is to say; tell: called with what is being tried; tries: whether anything
+        is, though it was not asked for at the start.
+        """
         from taichi_cloth.post_mortem.examine import examine, flags
 
         now = Settings.of(self._sim)
@@ -84,7 +88,10 @@ class Examining:
         def trying(settings: Settings) -> None:
             tell(f"trying {' '.join(flags(settings, now)) or 'it again'}")
 
-        found = examine(self._sim, words=self._words, seconds=PATIENCE, tell=trying)
+        untried = "" if tries or self._tries else UNTRIED_HERE
+        found = examine(
+            self._sim, words=self._words, seconds=PATIENCE, tell=trying, untried=untried
+        )
         _explain(found)
         return _finding(found)
 
@@ -130,6 +137,7 @@ def _finding(found: PostMortem) -> Finding:
         back=(failure.frame - 1 if failure else samples[-1].frame) - samples[0].frame,
         whole=trace.whole and not trace.acts,
         limit=limit if 0 < limit < np.inf and not damped else None,
+        tried=found.search.asked,
         reads="h d, by damping" if damped else "h omega",
         **columns,
     )  # fmt: skip
@@ -148,7 +156,7 @@ def _beside(options: RunOptions) -> PendingFile | None:
 
 def _write(
     sim: Simulation,
-    file: PendingFile,
+    file: PendingFile | None,
     words: Sequence[str],
     options: RunOptions,
     failure: SimulationFailure | None,
@@ -157,15 +165,20 @@ def _write(
     from taichi_cloth.post_mortem.examine import examine
     from taichi_cloth.ui import showing
 
+    draw = None if file is None else partial(showing.picture, sim)
+    untried = "" if options.survivors else UNTRIED
     try:
-        found: PostMortem = examine(sim, words=words, draw=partial(showing.picture, sim))
-        page.write(found, file)
+        found: PostMortem = examine(sim, words=words, draw=draw, untried=untried)
+        if file is not None:
+            page.write(found, file)
         _explain(found)
     finally:
-        file.discard()
+        if file is not None:
+            file.discard()
     if options.quiet:
         return
     if failure is not None:
         kind = "cause" if found.cause.numerical else "cause, not numerics"
         print(f"{kind}: {found.line}")
-    print(f"report: {file.path}", flush=True)
+    if file is not None:
+        print(f"report: {file.path}", flush=True)

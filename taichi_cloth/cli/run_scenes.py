@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from taichi_cloth.cli import run_files
+from taichi_cloth.cli import run_files, run_options
 from taichi_cloth.cli.run_files import RunFiles
 from taichi_cloth.files.pending import is_device
 from taichi_cloth.scene import library
@@ -97,7 +97,7 @@ class Window:
         """Make a scene ready; InputError or RunFailure where it cannot be."""
         source = source_of(name, self._source, self._name)
         scene, options = source.build(), options_of(name, self._options)
-        names = self._make(source, scene, replace(options, dt=source.frame()))
+        names = self._make(source, scene, run_options.of_scene(options, scene.world))
         left = left_behind(self._source, self._options)
         if left:
             names.append(f"{', '.join(left)} {'were' if left[1:] else 'was'} for {self._name}")
@@ -116,6 +116,8 @@ class Window:
         options = files_of(self._options, scene.name, onto=now.options)
         # Whether it is paused by now is for `Scenes` to say, and not for a flag of the start.
         options = replace(options, resume=None, paused=False, given=options.given - {"resume"})
+        if scene.world.substeps != now.scene.world.substeps:
+            options = run_options.of_scene(options, scene.world)
         names = self._make(now.source, scene, options)
         if now.options.resume is not None:
             names.append(f"--resume was of {Path(self.scenes.file).name} before")

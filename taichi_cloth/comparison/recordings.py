@@ -11,6 +11,8 @@ import numpy as np
 from taichi_cloth.errors import InputError, counted
 from taichi_cloth.files import trajectory
 from taichi_cloth.files.trajectory import Saved
+from taichi_cloth.scene.rules import refuse_changed
+from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.trade.errors import Samples
 
 LOST = 1e150  # no square of a longer way is a number: a particle that far is nowhere
@@ -115,6 +117,7 @@ class Pair:
     def of(cls, a: Recording, b: Recording) -> Pair:
         """Put two recordings side by side; InputError, which says what differs, if they cannot."""
         check_same_particles(a, b)
+        check_same_rules(a, b)
         step = min(_shortest(a.saved.time), _shortest(b.saved.time))
         slack = SAME_TIME * step if np.isfinite(step) else SAME_TIME * abs(a.saved.time[0])
         at = np.searchsorted(b.saved.time, a.saved.time - slack)
@@ -160,6 +163,21 @@ def check_same_particles(a: Recording, b: Recording) -> None:
             f"{a.label} and {b.label} are not of the same particles: {', '.join(differ)}; "
             "compare two runs of one scene"
         )
+
+
+def check_same_rules(a: Recording, b: Recording) -> None:
+    """Raise InputError where the rules of their scene have changed between the two."""
+    models = [of.saved.meta.get("model", 1) for of in (a, b)]
+    if models[0] == models[1]:
+        return
+    older, newer = (a, b) if models[0] < models[1] else (b, a)
+    try:
+        scene = SceneSource.from_json(newer.saved.meta["scene_source"]).build()
+    except (InputError, KeyError, TypeError):  # its file is not there any more, or says another
+        return
+    refuse_changed(
+        scene, {**older.saved.meta, "version": older.settings().get("version")}, older.label
+    )
 
 
 def _refuse_lost(saved: Saved, label: str) -> None:

@@ -352,7 +352,7 @@ class Judge:
         sim = self._sims.get(plan.method)
         if sim is None:
             stored, run = conditions.best_for(scene, self._threads)
-            sim = Simulation(scene, plan.method, topology=stored, execution=run)
+            sim = Simulation(scene, plan.method, substeps=1, topology=stored, execution=run)
             self._sims[plan.method] = sim
         sim.solver.update({k: v for k, v in plan.solver.items() if k in sim.claims.settings})
         sim.begin_from(plan.start, window.dt, plan.substeps[0])

@@ -64,6 +64,7 @@ def main(source: SceneSource, options: ExplainOptions) -> int:
     how = {
         name: getattr(options, name)
         for name in ("method", "dt", "substeps", "execution", "topology")
+        if name in options.given or name not in ("dt", "substeps")
     }
     found, cloths = [], []
     with console.progress(("text", "bar", "elapsed")) as show_progress:
@@ -72,10 +73,8 @@ def main(source: SceneSource, options: ExplainOptions) -> int:
             return lambda text, done, total: show_progress(f"{name}: {text}", done, total)
 
         for name, scene in scenes.items():
-            of = SceneSource(name.partition(" ")[0]) if options.all else source
-            step = {} if options.given & {"dt", "substeps"} else {"dt": of.frame()}
             switch = not options.all or scene.name in SWITCHED
-            explanation = costs.explain(scene, how | step, end, tell(name), switch=switch)
+            explanation = costs.explain(scene, how, end, tell(name), switch=switch)
             found.append(replace(explanation, scene=name))
         if options.all:
             for side in SIDES:
@@ -177,6 +176,8 @@ def show(explanation: Explanation, to: Console) -> None:
         f"{duration(e.seconds)} a step (quartiles {duration(e.lower)} .. {duration(e.upper)}), "
         f"{e.compile_seconds:.2f} s to compile, {_bytes(compiled.bytes)} on the device"
     )
+    if e.assumed:
+        say("taken: " + "; ".join(f"{key} = {words}" for key, words in e.assumed.items()))
     to.print()
     say(f"compiled: {_path(compiled)}; {_places(compiled)}")
     say(f"  on: {', '.join(_switches(compiled.plan, True)) or 'nothing'}")

@@ -95,7 +95,7 @@ class Cost:
 class Explanation:
     """All that is known of a scene. seconds, lower, upper: of a step as it is; compile_seconds:
     of the processor, until the first frame; rounds: that were counted. left_out: features for
-    which there was no time.
+    which there was no time. assumed: keys that the scene's file leaves open, with what was taken.
     """
 
     scene: str
@@ -113,6 +113,7 @@ class Explanation:
     rounds: int
     costs: list[Cost]
     left_out: list[str] = field(default_factory=list)
+    assumed: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(eq=False)  # each is itself alone: arrays of scenes have no truth to be compared by
@@ -284,6 +285,7 @@ def explain(
             for v, other in zip(switched, others, strict=True)
             if not other.left_out
         ],
+        assumed=dict(scene.assumed),
         left_out=[v.feature for v, of in zip(switched, others, strict=True) if of.left_out],
     )
 

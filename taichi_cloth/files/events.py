@@ -167,7 +167,7 @@ def _check_header(header: dict[str, Any]) -> None:
         raise InputError(f"window must be [width, height] in pixels, is {show(window)}")
     if seed != 0 and not _is_count(seed):
         raise InputError(f"seed must be a whole number from 0, is {show(seed)}")
-    for key in ("scene", "method", "topology", "precision", "beside"):
+    for key in ("scene", "method", "topology", "precision", "beside", "version"):
         if not isinstance(header.get(key, ""), str):
             raise InputError(f"{key} must be a name, is {show(header[key])}")
     arguments = header.get("arguments", [])
@@ -185,6 +185,8 @@ def _check_header(header: dict[str, Any]) -> None:
         raise InputError(
             f"iterations must be a whole number from 1 to {MOST_ITERATIONS}, is {show(iterations)}"
         )
+    if not _is_count(header.get("model", 1)):
+        raise InputError(f"model must be a whole number from 1, is {show(header['model'])}")
     if "start_frame" in header:
         whole_number("start_frame", header["start_frame"])
     if not _is_count(substeps):

@@ -40,8 +40,8 @@ class PostMortem:
     @property
     def line(self) -> str:
         """The cause and what to do, in a line."""
-        remedy = f"; {self.remedy}" if self.remedy else ""
-        return f"{self.cause.says} ({self.cause.proof}){remedy}"
+        remedy = self.remedy if self.search.asked else self.search.says
+        return f"{self.cause.says} ({self.cause.proof})" + f"; {remedy}" * bool(remedy)
 
     @property
     def remedy(self) -> str:
@@ -116,14 +116,20 @@ def examine(
     draw: Callable[[], np.ndarray] | None = None,
     seconds: float = SECONDS,
     tell: Callable[[Settings], None] = lambda settings: None,
+    untried: str = "",
 ) -> PostMortem:
     """Find out why a run failed; or, of one that did not, how it stands.
 
     words: of the command line after `run`, but for method, step and solver. draw: makes a picture
     of the simulation as it is; None: there are none. seconds: that trials may take. tell: called
-    before each trial.
+    before each trial. untried: how to ask for trials, in a clause; there are none then, and what to
+    do is what the failure itself says.
     The simulation is as it was afterwards, to the bit.
     """
     trace = traced(sim, seconds, draw)
     cause = cause_of(trace)
-    return PostMortem(trace, cause, search(sim, trace, cause, seconds, tell), words)
+    if untried and trace.failure is not None:
+        found = Search([], None, f"{trace.failure.remedy}; {untried}", asked=False)
+    else:
+        found = search(sim, trace, cause, seconds, tell)
+    return PostMortem(trace, cause, found, words)

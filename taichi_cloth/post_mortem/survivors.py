@@ -64,13 +64,15 @@ class Search:
     """What was tried.
 
     best: the cheapest that survived; None: none did. says: why there is none, or what the trials
-    were. without: acts that set the run's settings, which the trials left out.
+    were. without: acts that set the run's settings, which the trials left out. asked: whether any
+    were asked for.
     """
 
     trials: list[Trial]
     best: Trial | None
     says: str
     without: tuple[Act, ...] = ()
+    asked: bool = True
 
 
 def search(

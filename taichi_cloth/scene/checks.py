@@ -32,6 +32,7 @@ from taichi_cloth.scene.properties import (
 from taichi_cloth.scene.stencils import AT_ONCE, IN_ROW, Stencils
 from taichi_cloth.scene.world_keys import world_keys
 from taichi_cloth.settings import accepted
+from taichi_cloth.settings.options import MOST_SUBSTEPS
 
 # Lengths of worlds whose squares, and these times a stiffness, are numbers of double precision.
 SMALLEST_LENGTH, LARGEST_LENGTH = 1e-100, 1e100
@@ -231,6 +232,10 @@ def _check_world(world: World, refusal: _Refusal) -> None:
             refuse("size", f"size must be from {limits}, is {_show(value)}; use other units")
     _check_vector(world, "gravity", world.gravity, None, refusal)
     refusal.check_number("world", "dt", world.dt, POSITIVE)
+    steps: Any = world.substeps
+    if steps != "auto" and not (type(steps) is int and 1 <= steps <= MOST_SUBSTEPS):
+        must = f'must be a whole number from 1 to {MOST_SUBSTEPS}, or "auto"'
+        refuse("substeps", f"substeps {must}, is {accepted.shown(steps)}")
     walls = [name for name, (axis, _) in WALLS.items() if axis < world.dim]
     for name in world.walls:
         if name not in WALLS:

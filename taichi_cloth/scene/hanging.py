@@ -60,6 +60,7 @@ def table(path: Path, surface: Surface) -> dict[str, Any]:
             "up": "y",
             "gravity": [0.0, -GRAVITY, 0.0],
             "dt": FRAME,
+            "substeps": "auto",
             "mouse": "blow",
         },
         "particle": {"radius": radius, "viscous": DRAG * mass},

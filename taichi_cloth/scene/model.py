@@ -5,8 +5,7 @@ A `Scene` knows no Taichi, no window and no method. Build one with the built-in
 be simulated, and `features` says which parts of the physics it needs. The numbers of particles
 and springs are declared in `properties`.
 
-Units are the scene's own (the seed scenes use pixels and frames); y points down, or up where the
-world says so.
+Units are the scene's own (the seed's: pixels and frames); y points down, or up where it says so.
 """
 
 from __future__ import annotations
@@ -68,7 +67,8 @@ class World:
     size: 2 or 3 lengths. A 2-D world reaches from 0 to w and 0 to h; a 3-D one also
         from -d/2 to d/2 in z.
     gravity: acceleration, one number per dimension.
-    dt: time of one frame (a substep is dt / substeps).
+    dt: time of one frame.
+    substeps: steps that a frame is cut into, each of dt / substeps; "auto": as many as are stable.
     walls: names out of `WALLS`; a particle bounces off these sides.
     collisions: whether particles bounce off each other.
     mouse: what the pointer does, out of `MOUSE_MODES`.
@@ -96,6 +96,7 @@ class World:
     up: str = ""
     tools: bool = False
     held: Hold | None = field(default=None, compare=False)
+    substeps: int | str = field(default=1, repr=False)  # digests of scenes are made of its words
 
     def __post_init__(self) -> None:
         _take_plain(self, [name for name in vars(self) if name != "held"])
@@ -426,6 +427,7 @@ class Scene(ByValue):
     stencils: where they resist being bent.
     file_points: vertices of its mesh files, where particles are fewer: what exports write.
     notes: what was passed over, or joined, as its files were read; no part of its physics.
+    assumed: keys of its file that this left open, each with what was taken, in words.
 
     Lists of triangles and obstacles are taken, too. Two scenes are equal where all of this is.
     """
@@ -442,6 +444,7 @@ class Scene(ByValue):
     stencils: Stencils = field(default_factory=Stencils.none)
     file_points: FilePoints | None = field(default=None, compare=False)
     notes: tuple[str, ...] = field(default=(), compare=False)
+    assumed: Mapping[str, str] = field(default_factory=dict, compare=False)
 
     def __post_init__(self) -> None:
         triangles: Any = self.triangles

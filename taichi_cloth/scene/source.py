@@ -71,18 +71,6 @@ class SceneSource:
         table = hanging.table(path, surface)
         return scenefile.parse_table(table, path.name, "", path.stem, self.assignments)
 
-    def frame(self) -> str | None:
-        """What `--dt` is where neither it nor the substeps are given; None: the scene's own.
-
-        Cloth in SI units is so stiff that a frame of 1/60 s takes dozens of explicit steps: a scene
-        that is to run as it stands, in any method, says `FRAME = "auto"` in its file.
-        """
-        from taichi_cloth.scene import library
-
-        if self.is_file:
-            return "auto" if self.is_mesh else None
-        return library.frame(self.name)
-
     def solution(self) -> Callable[..., tuple[np.ndarray, np.ndarray]] | None:
         """What gives the scene's closed form at given times; None without one.
 

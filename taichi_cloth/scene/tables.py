@@ -13,6 +13,7 @@ import numpy as np
 
 from taichi_cloth.errors import counted, nearest
 from taichi_cloth.scene import cloth_tables, mesh_tables, toml
+from taichi_cloth.scene.assignments import Assignment
 from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.model import (
     MOUSE_MODES,
@@ -61,6 +62,8 @@ TABLES = {
         "up",
         "gravity",
         "dt",
+        "rate",
+        "substeps",
         "walls",
         "collisions",
         "mouse",
@@ -77,6 +80,9 @@ TABLES = {
     "cloths": cloth_tables.KEYS,
     "meshes": mesh_tables.KEYS,
 }
+
+
+FRAMES_A_SECOND = 60  # of scenes in metres and seconds that say no dt
 
 
 @dataclass(frozen=True)
@@ -108,7 +114,8 @@ class SceneReader(TableReader):
         if "world" not in table:
             self.refuse((), "[world] is missing; it needs at least size = [width, height]")
         world = self.world(self.subtable(table, "world"), tables=table)
-        particle_defaults = self.particle_defaults(self.subtable(table, "particle"))
+        particle_table = self.subtable(table, "particle")
+        particle_defaults = self.particle_defaults(particle_table, world)
         spring_table = self.subtable(table, "spring")
         spring_defaults = self.spring_defaults(spring_table)
         spring_color = self.value(spring_table, ("spring",), "color", toml.color)
@@ -146,6 +153,13 @@ class SceneReader(TableReader):
         for sheet, begin in zip(sheets, begins, strict=True):
             if sheet.file is not None:
                 self.note(sheet.file, loose_parts(sheet, begin, particles, springs))
+        assumed = self.assumed(table, world)
+        if "particle.radius" in assumed:
+            given = self.with_own_radius(len(particles))
+            radius, words = assumed_radius(particle_defaults, particles, springs, world, given)
+            assumed["particle.radius"] = words
+            particle_defaults = replace(particle_defaults, radius=radius)
+            particles = replace(particles, radius=np.where(given, particles.radius, radius))
         scene = Scene(
             name=self.value(table, (), "name", toml.text, self.default_scene_name),
             world=world,
@@ -159,6 +173,7 @@ class SceneReader(TableReader):
             stencils=stencils,
             file_points=FilePoints.of_sheets(surfaces[0], listed, points),
             notes=tuple(self.notes),
+            assumed=assumed,
         )
         return validate(scene, self.place_of_fault)
 
@@ -179,10 +194,12 @@ class SceneReader(TableReader):
         walls = self.value(table, path, "walls", toml.names_or_boolean, False)
         if walls is True:
             walls = [name for name, (axis, _) in WALLS.items() if axis < len(size)]
+        metres = bool(table.get("up") or tables.get("meshes"))
         return World(
             size=tuple(size),
             gravity=tuple(self.vector(table, path, "gravity", len(size)) or [0.0] * len(size)),
-            dt=self.value(table, path, "dt", toml.number, 1.0),
+            dt=self.frame(table, 1 / FRAMES_A_SECOND if metres else 1.0),
+            substeps=self.value(table, path, "substeps", toml.substeps, "auto" if metres else 1),
             walls=tuple(dict.fromkeys(walls or ())),
             collisions=self.value(table, path, "collisions", toml.boolean, False),
             mouse=self.value(table, path, "mouse", toml.text, MOUSE_MODES[0]),
@@ -192,6 +209,27 @@ class SceneReader(TableReader):
             more=self.further_keys(table, len(size)),
             up=self.value(table, path, "up", toml.text, ""),
         )
+
+    def frame(self, table: Table, default: float) -> float:
+        """The time of a frame, which [world] says as `dt`, or as 1 / `rate`."""
+        path = ("world",)
+        dt = self.value(table, path, "dt", toml.number)
+        rate = self.finite(path, "rate", self.value(table, path, "rate", toml.number))
+        if rate is None:
+            return default if dt is None else dt
+        if dt is not None:
+            self.refuse((*path, "rate"), "rate stands for dt = 1 / rate; give one of the two")
+        if not rate > 0 or not np.isfinite(1 / rate):
+            self.refuse((*path, "rate"), f"rate must be positive, is {rate:g}")
+        return 1 / rate
+
+    def assign(self, table: Table, assignment: Assignment) -> None:
+        """As for any table; of `rate` and `dt` the one that is assigned stands for the other."""
+        super().assign(table, assignment)
+        others = {("world", "rate"): "dt", ("world", "dt"): "rate"}
+        other = others.get(assignment.keys)
+        if other is not None and ("world", other) not in self.assigned:
+            table["world"].pop(other, None)
 
     def further_keys(self, table: Table, dim: int) -> dict[str, WorldValue]:
         """The values of those keys of [world] that not every scene has."""
@@ -242,10 +280,34 @@ class SceneReader(TableReader):
             found.append(obstacle)
         return tuple(found)
 
-    def particle_defaults(self, table: Table) -> ParticleDefaults:
-        """What [particle] says."""
+    def particle_defaults(self, table: Table, world: World) -> ParticleDefaults:
+        """What [particle] says; in metres nothing bounces by itself."""
         given = {key: self.required(table, ("particle",), key, toml.number) for key in table}
-        return ParticleDefaults(**given)
+        return ParticleDefaults(**({"restitution": 0.0} if world.up else {}) | given)
+
+    def assumed(self, table: Table, world: World) -> dict[str, str]:
+        """What a scene in metres takes by itself, by key; the radius is filled in later."""
+        metres = bool(world.up or table.get("meshes"))
+        steps = "as many as are stable"
+        taken = {
+            "world.dt": (metres and "rate" not in table["world"], f"1/{FRAMES_A_SECOND}"),
+            "world.substeps": (metres, f'"{world.substeps}": {steps}'),
+            "particle.radius": (bool(world.up), ""),
+            "particle.restitution": (bool(world.up), "0"),
+        }
+        found = {}
+        for key, (applies, words) in taken.items():
+            kind, name = key.split(".")
+            if applies and name not in table.get(kind, {}):
+                found[key] = words
+        return found
+
+    def with_own_radius(self, count: int) -> np.ndarray:
+        """Which particles have a radius of their own, or of their cloth's thickness, (n,) bool."""
+        own = np.zeros(count, bool)
+        for source in self.sources["particle"]:  # in the order of their numbers
+            own[source.first :] = bool({"radius", "thickness"} & source.keys)
+        return own
 
     def spring_defaults(self, table: Table) -> SpringDefaults:
         """What [spring] says, but for the colour."""
@@ -355,3 +417,29 @@ class SceneReader(TableReader):
         if field_name not in source.keys and (default in self.lines or default in self.assigned):
             return f"{self.place(kind, field_name)} for [[{source.table}]] {source.index}"
         return self.place(source.table, source.index, field_name)
+
+
+def assumed_radius(
+    defaults: ParticleDefaults,
+    particles: Particles,
+    springs: Springs,
+    world: World,
+    own: np.ndarray,
+) -> tuple[float, str]:
+    """The radius of a scene in metres that gives none, and where it is from, in words.
+
+    own: (n,) bool, which particles have one all the same.
+    """
+    if defaults.thickness > 0:
+        radius = defaults.thickness / 2
+        return radius, f"{radius:g}, half the thickness"
+    ends = particles.position[springs.between]
+    lengths = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
+    lengths = lengths[lengths > 0]
+    if len(lengths):
+        radius = float(f"{lengths.min() / 10:.6g}")  # as it is told, without round-off
+        words = f"{radius:g}, a tenth of the least spacing"
+    else:
+        radius = min(world.size) / 100
+        words = f"{radius:g}, a hundredth of the world's least side"
+    return radius, f"half the thickness where cloth has one, else {words}" if own.any() else words

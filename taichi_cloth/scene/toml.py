@@ -119,6 +119,16 @@ def integer(value: Any) -> int:
     return value
 
 
+def substeps(value: Any) -> int | str:
+    """How many steps a frame has, or that they are chosen."""
+    if value == "auto":
+        return "auto"
+    try:
+        return integer(value)
+    except WrongType as wrong:
+        raise WrongType(f'{wrong}, or "auto"') from None
+
+
 def boolean(value: Any) -> bool:
     if not isinstance(value, bool):
         raise WrongType("true or false")

@@ -222,6 +222,11 @@ class RunOptions(Options):
         str,
         metavar="FILE.html",
     )
+    survivors: bool = setting(
+        False,
+        "where the run fails, look for the cheapest setting that survives, by running it, for up "
+        "to two minutes (in a window: k)",
+    )
     every: int = setting(1, "save and export every Nth frame only", minimum=1, metavar="N")
     image: str | None = setting(None, "save the last frame as a picture", str, metavar="FILE.png")
     video: str | None = setting(None, "save all frames as a film", str, metavar="FILE.mp4|gif")
@@ -275,6 +280,7 @@ class RunOptions(Options):
     )
     paused: bool = setting(False, "start paused")
     quiet: bool = setting(False, "print nothing but errors")
+    verbose: bool = setting(False, "say what a scene file leaves open, and what is taken for it")
 
 
 def within_setting() -> Any:

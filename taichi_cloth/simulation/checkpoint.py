@@ -15,6 +15,7 @@ from taichi_cloth.errors import InputError, counted
 from taichi_cloth.files import archives
 from taichi_cloth.runtime import current_device
 from taichi_cloth.scene.model import Scene
+from taichi_cloth.scene.rules import NOTED, refuse_changed
 from taichi_cloth.settings import accepted
 from taichi_cloth.simulation import saved
 from taichi_cloth.simulation.acts import act
@@ -33,6 +34,7 @@ class Checkpoint:
     remembers; None: the step was set. kept: the state on the device.
     scene: as it was given; None, of a checkpoint from a file: digest is that of all its numbers.
     prepared: what tools had switched on in its world by then (`Checkpoints.PREPARED`).
+    noted: under which model it was made, and by which version (`scene.rules`).
     engine: what ran it then, for the simulation that it is of: that may have another method since.
 
     The arrays are nobody's to change: checkpoints share those that are equal. So it is its own
@@ -50,6 +52,7 @@ class Checkpoint:
     scene: Scene | None = None
     digest: str = ""
     prepared: Mapping[str, Any] = field(default_factory=dict)
+    noted: Mapping[str, Any] = field(default_factory=lambda: NOTED)
     engine: Mapping[str, Any] | None = None
 
     def __repr__(self) -> str:
@@ -176,6 +179,7 @@ class Checkpoints(Part):
                 raise InputError(f"restore: the checkpoint has {what} {there}, the run has {here}")
         if checkpoint.scene is self._given:
             return
+        refuse_changed(self._given, {"dt": None, **checkpoint.noted}, "restore: the checkpoint")
         there = checkpoint.digest or saved.digest(checkpoint.scene or self._given)
         if there != saved.digest(self._given):
             raise InputError(

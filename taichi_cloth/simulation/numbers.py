@@ -10,7 +10,7 @@ from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods
 from taichi_cloth.kernels.methods.contract import Claims
 from taichi_cloth.runtime import current_device
-from taichi_cloth.scene.model import Scene
+from taichi_cloth.scene.model import Scene, World
 from taichi_cloth.settings import accepted
 from taichi_cloth.settings.options import MOST_ITERATIONS, MOST_TOLERANCE, SOLVER_SETTINGS
 
@@ -31,6 +31,26 @@ class Numbers:
     iterations: int
     first_time: float
     first_step: int
+
+
+def asked_step(
+    world: World, dt: float | str | None, substeps: int | None
+) -> tuple[bool, tuple[float | str, int]]:
+    """Whether a run chooses its substeps, and its dt and substeps: what it was asked for, else what
+    its scene says.
+
+    InputError where substeps are given that are to be chosen.
+    """
+    if dt == "auto" and isinstance(dt, str):
+        if substeps not in (None, 1):
+            raise InputError("--substeps: --dt auto chooses them; give one of the two")
+        return True, (world.dt, 1)
+    own = world.substeps
+    if dt is None and substeps is None and own == "auto":
+        return True, (world.dt, 1)
+    if substeps is None:
+        substeps = 1 if isinstance(own, str) else own
+    return False, (world.dt if dt is None else dt, substeps)
 
 
 def checked_step(dt: float | str, substeps: int) -> tuple[float, int]:

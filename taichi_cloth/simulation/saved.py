@@ -115,6 +115,7 @@ def into(file: PendingFile, parts: Mapping[str, Any], about: Mapping[str, Any]) 
         "world": vars(replace(scene.world, held=None)),
         "obstacles": [vars(obstacle) for obstacle in scene.obstacles],
         "about": dict(about),
+        "noted": dict(parts["noted"]),
     }
     arrays["meta"] = np.array(json.dumps(meta))
     file.fill(lambda to: np.savez(to, **arrays))
@@ -172,6 +173,7 @@ def _parts(meta: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str, Any
         **{name: meta[name] for name in ("frame", "time", "name", "digest", "method", "precision")},
         "scene": None,
         "prepared": meta["prepared"],
+        "noted": meta.get("noted", {}),  # of the first model none
         "settings": settings,
         "auto": auto,
         "kept": Kept(

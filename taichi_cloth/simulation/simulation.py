@@ -36,6 +36,7 @@ from taichi_cloth.simulation.interrupts import HeldBack
 from taichi_cloth.simulation.launch import Launcher
 from taichi_cloth.simulation.numbers import (
     Numbers,
+    asked_step,
     checked_step,
     runaway_speed,
     solver_settings,
@@ -53,6 +54,7 @@ from taichi_cloth.simulation.storage.storage import Storage
 # 16 are faster and take half as long again to compile; `sixteen.py`.
 LANES = 8
 MOST_LANES = 64  # more fill no vector, and take minutes to compile
+CHOSEN = "--dt auto chooses the step; it cannot be set: begin with substeps of your own"
 
 
 class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engine, Showing):
@@ -62,8 +64,9 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
     copied, and from here on read-only (NumPy raises ValueError): make other scenes of it by
     `with_parts`, `with_world` or `dataclasses.replace`, and change a run by `set`.
     method: a name out of `kernels.methods.METHODS`.
-    dt: time of a frame, the scene's own when absent; substeps: steps a frame is cut into. With
-    dt "auto" a frame is the scene's, cut into as many as its springs need (`auto_substeps.py`).
+    dt: time of a frame; substeps: steps a frame is cut into; both the scene's own when absent. With
+    dt "auto" a frame is the scene's, cut into as many as its springs need (`auto_substeps.py`); so
+    it is where both are absent, and the scene's substeps are "auto".
     execution: "serial" (on one thread) or "parallel" (on all threads, or a GPU).
     topology: "lanes" (the regular grids among the springs without index lists, in packs of several
     particles; the rest on the graph), or "graph" (all springs by lists of neighbours).
@@ -95,7 +98,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         scene: Scene,
         method: str = "symplectic_euler",
         dt: float | str | None = None,
-        substeps: int = 1,
+        substeps: int | None = None,
         execution: str = "auto",
         topology: str = "auto",
         lanes: int | str | None = None,
@@ -110,19 +113,16 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         soon = accepted.flag("soon", soon)
         if not (compiling is None or callable(compiling)):
             raise InputError(f"compiling must be a function, is {accepted.shown(compiling)}")
-        follows = isinstance(dt, str) and dt == "auto"
         self._widens = isinstance(lanes, str) and lanes == "auto"
         if self._widens:
             lanes = None
         if lanes is not None:
             lanes = accepted.power_of_two("lanes", lanes, MOST_LANES)
-        if follows and substeps != 1:
-            raise InputError("--substeps: --dt auto chooses them; give one of the two")
         self.scene = self._given = validate(scene)
         self.method = method
         refuse_unholdable(scene, current_device().precision)
-        step = checked_step(scene.world.dt if dt is None or follows else dt, substeps)
-        self.dt, self.substeps = step
+        follows, step = asked_step(scene.world, dt, substeps)
+        self.dt, self.substeps = checked_step(*step)
         device = current_device()
         self._module = methods.load(method)
         self.claims = self._module.claims
@@ -176,37 +176,42 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         return self._lanes or min(LANES, most or LANES)
 
     @act
-    def load_scene(self, scene: Scene, dt: float | None = None, substeps: int = 1) -> None:
+    def load_scene(
+        self, scene: Scene, dt: float | None = None, substeps: int | None = None
+    ) -> None:
         """Take another scene, from its start; method, settings, topology and execution stay.
 
         Nothing is compiled anew for a scene that fits: of the same dimension, walls, collisions and
         grids, without features, particles or springs beyond those there were. What it lacks of
         these features stays compiled, without effect.
-        dt, substeps: as in the constructor, but chosen by the simulation with dt "auto".
+        dt, substeps: as in the constructor; one that chooses its substeps goes on choosing them.
         InputError where the constructor raises it; all is then as it was.
         """
-        if self.follows and not (dt is None and substeps == 1):
-            raise InputError("--dt auto chooses the step; it cannot be set")
+        if self.follows and not (dt is None and substeps in (None, 1)):
+            raise InputError(CHOSEN)
         validate(scene)
-        step = checked_step(scene.world.dt if dt is None else dt, substeps)
+        follows, asked = asked_step(scene.world, "auto" if self.follows else dt, substeps)
+        step = checked_step(*asked)
         refuse_unholdable(scene, current_device().precision)
         names = ("scene", "_given", "began", "frame", "_work", "_counted", "_first", "_engines")
         before = {name: getattr(self, name) for name in names}
         with self._undone_if_refused(self.storage.snapshot()):
             try:
-                self._begin_anew(scene, step)
+                self._begin_anew(scene, step, follows)
             except InputError:
                 for name, value in before.items():
                     setattr(self, name, value)
                 raise
 
-    def _begin_anew(self, scene: Scene, step: tuple[float, int]) -> None:
-        """Take a scene that was checked, with frames and steps of `step`, from its start."""
+    def _begin_anew(self, scene: Scene, step: tuple[float, int], follows: bool) -> None:
+        """Take a scene that was checked, with frames and steps of `step`, from its start.
+
+        follows: whether the substeps are chosen.
+        """
         self.scene = self._given = scene.seal()
         self._engines = {}
         self.dt, self.substeps = step
-        if self.follows:
-            self._auto = AutoSubsteps(self.method, self._module, self.dt)
+        self._auto = AutoSubsteps(self.method, self._module, self.dt) if follows else None
         self.speed_limit = runaway_speed(scene, self.dt)
         self._note_settings()
         self.reset()
@@ -366,7 +371,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         InputError where one is not positive, or with dt "auto".
         """
         if self.follows:
-            raise InputError("--dt auto chooses the step; it cannot be set")
+            raise InputError(CHOSEN)
         dt = self.dt if dt is None else dt
         substeps = self.substeps if substeps is None else substeps
         self._change_step(*checked_step(dt, substeps))

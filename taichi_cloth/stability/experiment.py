@@ -190,13 +190,13 @@ class Runs:
     def __init__(self, scene: Scene, name: str):
         many = len(scene.particles) >= PARALLEL_FROM
         path = "parallel" if many else "serial"
-        self._sim = Simulation(scene, name, execution=path, topology="graph")
+        self._sim = Simulation(scene, name, substeps=1, execution=path, topology="graph")
         self._use(scene)
         self.runs = self.steps = 0
 
     def replace(self, scene: Scene) -> None:
         """Run this scene from now on."""
-        self._sim.load_scene(scene)
+        self._sim.load_scene(scene, substeps=1)
         self._use(scene)
 
     def _use(self, scene: Scene) -> None:

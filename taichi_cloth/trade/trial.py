@@ -48,7 +48,12 @@ class Trial:
         made = _load(scene)
         account = accounts and arch == "cpu"  # on a GPU it takes too many launches
         self._sim = Simulation(
-            made, method, topology=topology, execution=execution, accounts_contacts=account
+            made,
+            method,
+            substeps=1,  # of each trial those that it is given
+            topology=topology,
+            execution=execution,
+            accounts_contacts=account,
         )
         self._ran: set[str] = set()  # what was run here, so that it is compiled and warm
         self.about = {
@@ -60,7 +65,7 @@ class Trial:
 
     def load(self, scene: str) -> None:
         """Another scene with the same features and springs; nothing is compiled anew."""
-        self._sim.load_scene(_load(scene))
+        self._sim.load_scene(_load(scene), substeps=1)
 
     def compile(self, dt: float, substeps: int, solver: dict[str, Any]) -> None:
         """Compile what samples are taken with, by a frame."""

@@ -13,6 +13,7 @@ import numpy as np
 from taichi_cloth import runtime
 from taichi_cloth.console import progress
 from taichi_cloth.errors import RunFailure
+from taichi_cloth.scene.rules import NOTED
 from taichi_cloth.ui import film as films
 from taichi_cloth.ui import rescue
 from taichi_cloth.ui.interaction import Log
@@ -34,6 +35,7 @@ def log_header(
     replay: the log that is being replayed while this one is recorded; its window is kept.
     """
     return {
+        **NOTED,
         "scene": sim.scene.name,
         "window": list(event_window(sim.scene.world, view, replay)),
         "seed": seed,

@@ -244,8 +244,17 @@ class Loop:
         self._log.clear()
         self.state.log_end = -1
 
-    def _examine(self) -> None:
-        """Find out why the run failed, which takes a moment, and open what says so."""
+    def _asks_for_trials(self, event: Event) -> bool:
+        """Whether an event is the panel's key, of a failure of which no setting was tried yet."""
+        finding, key = self._shown.why.finding, self._shown.why.key
+        untried = finding is not None and not finding.tried and self.state.failure is not None
+        return untried and event.kind == "press" and event.key == key
+
+    def _examine(self, tries: bool = False) -> None:
+        """Find out why the run failed, which takes a moment, and open what says so.
+
+        tries: whether a setting that survives is looked for, which takes longer.
+        """
         examiner = self._request.examiner
         if examiner is None:
             return
@@ -256,7 +265,7 @@ class Loop:
             self._show_now()
 
         tell("looking for the cause")
-        finding = examiner.examine(tell)
+        finding = examiner.examine(tell, tries)
         self._resume = self.state.frames - (finding.back if finding else 0)
         self._shown.open_finding(finding)
         self.state.examining = ""
@@ -266,7 +275,8 @@ class Loop:
         """Go back some frames, and on with the setting that survived."""
         finding, settings = self._shown.why.finding, self._shown.settings
         if finding is None or not finding.settings or settings is None:
-            self._controls.tell("u goes on with a setting that survives, where a run has failed")
+            first = "k looks for one first" if finding and not finding.tried else "there is none"
+            self._controls.tell(f"u goes on with a setting that survives a failure; {first}")
             return
         if finding.whole:  # which the timeline does not reach
             self._take_event(Event("press", key="r"))
@@ -305,6 +315,9 @@ class Loop:
                 self._obey(command)
         for given in self.view.poll():  # after which the window may have another size
             self._schedule.wake()
+            if self._asks_for_trials(given):
+                self._examine(tries=True)
+                continue
             # An event may have opened or closed what the next one would be for.
             event = self._shown.take(given)
             if event is None:

@@ -3,8 +3,7 @@
 A scene file defines ``scene(*, name: Annotated[type, Parameter(...)] = default, ...) -> Scene``,
 a pure function. Its first docstring line describes it in ``taichi-cloth list``, its parameters
 become flags of ``taichi-cloth run``. Where the scene has a closed form, the file may give it as
-``solution(scene, times)``, which `trade` compares to. ``FRAME = "auto"`` says that `run` cuts its
-frames into as many steps as it needs, where the user does not say.
+``solution(scene, times)``, which `trade` compares to.
 """
 
 from __future__ import annotations
@@ -45,12 +44,6 @@ def solution(name: str) -> Callable[..., tuple[np.ndarray, np.ndarray]] | None:
     """What gives the closed form of the scene called `name` at given times; None without one."""
     function(name)
     return getattr(importlib.import_module(f"{__name__}.{name}"), "solution", None)
-
-
-def frame(name: str) -> str | None:
-    """ "auto" for a scene whose frames are cut into as many steps as it needs, unless one says."""
-    function(name)
-    return getattr(importlib.import_module(f"{__name__}.{name}"), "FRAME", None)
 
 
 def description(name: str) -> str:

@@ -17,7 +17,6 @@ from taichi_cloth.scene.model import ParticleDefaults, Scene, World
 from taichi_cloth.scene.obstacles import Obstacle
 from taichi_cloth.settings.parameters import Parameter
 
-FRAME = "auto"
 WIDTH, TOP, FULLNESS = 1.8, 2.4, 1.5  # of the rail; its height [m]; cloth a width of rail
 SEWN, HEM = 0.55, 3  # from this part of its width on the hem holds; rows of the hem
 BENDING = 1e-5  # N m, of cotton
@@ -78,6 +77,7 @@ def scene(
             mouse="blow",
             gravity=(0.0, -9.81, 0.0),
             dt=1 / 60,
+            substeps="auto",
             ground=0.0,
             friction=0.5,
             more={

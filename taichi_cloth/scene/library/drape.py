@@ -13,7 +13,6 @@ from taichi_cloth.scene.model import Scene, World
 from taichi_cloth.scene.obstacles import Obstacle
 from taichi_cloth.settings.parameters import Parameter
 
-FRAME = "auto"
 WIDTH, RADIUS = 1.6, 0.3  # of the cloth; of the sphere [m]
 BENDING = 2e-5  # N m, of a light woollen fabric
 COLOR = (188, 62, 84)
@@ -51,6 +50,7 @@ def scene(
             mouse="blow",
             gravity=(0.0, -9.81, 0.0),
             dt=1 / 60,
+            substeps="auto",
             ground=0.0,
             friction=friction,
             more={"air": {"density": 1.2, "drag": 1.0, "lift": 0.2}},

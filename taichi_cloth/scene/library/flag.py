@@ -13,7 +13,6 @@ from taichi_cloth.scene.model import ParticleDefaults, Scene, World
 from taichi_cloth.scene.obstacles import Obstacle
 from taichi_cloth.settings.parameters import Parameter
 
-FRAME = "auto"
 LENGTH, TOP, POLE = 1.8, 2.6, 0.3  # of the flag; its upper edge; where the pole stands [m]
 BENDING = 5e-6  # N m, of a thin polyester
 STRIPES = ((214, 48, 58), (240, 240, 236), (44, 88, 168))
@@ -55,6 +54,7 @@ def scene(
             mouse="blow",
             gravity=(0.0, -9.81, 0.0),
             dt=1 / 60,
+            substeps="auto",
             ground=0.0,
             friction=0.5,
             more={

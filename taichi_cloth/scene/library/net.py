@@ -16,7 +16,6 @@ from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.model import ParticleDefaults, Scene, World
 from taichi_cloth.settings.parameters import Parameter
 
-FRAME = "auto"
 WIDTH, HEIGHT = 12.8, 5.0  # of the net; at which it hangs [m]
 COLOR = (236, 170, 72)
 
@@ -50,6 +49,7 @@ def scene(
             mouse="blow",
             gravity=(0.0, -9.81, 0.0),
             dt=1 / 60,
+            substeps="auto",
         ),
         particles=replace(particles, color=np.tile(np.array(COLOR, np.uint8), (side * side, 1))),
         springs=springs,

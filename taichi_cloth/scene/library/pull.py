@@ -17,7 +17,6 @@ from taichi_cloth.scene.obstacles import Obstacle
 from taichi_cloth.scene.scatter import jittered
 from taichi_cloth.settings.parameters import Parameter
 
-FRAME = "auto"
 TABLE, TOP, DEEP = (0.4, 1.4), 0.72, 0.38  # from left to right; its top; half its depth [m]
 LENGTH, WIDTH, THICKNESS, OVER = 1.02, 0.66, 0.006, 0.12  # of the cloth; beyond the table [m]
 BAR, GAP = 0.02, 0.01  # radius of the bar; from its surface to the cloth [m]
@@ -87,6 +86,7 @@ def scene(
             up="y",
             gravity=(0.0, -9.81, 0.0),
             dt=1 / 60,
+            substeps="auto",
             mouse="blow",
             ground=0.0,
             friction=friction,

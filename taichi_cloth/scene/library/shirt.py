@@ -15,7 +15,6 @@ from taichi_cloth.scene.model import Scene
 from taichi_cloth.settings.parameters import Parameter
 
 FILE = Path(__file__).with_name("shirt.obj")
-FRAME = "auto"
 THICKNESS = 0.01  # so that its front does not pass through its back [m]
 
 

@@ -14,7 +14,6 @@ from taichi_cloth.scene.scatter import jittered
 from taichi_cloth.scene.stencils import Stencils
 from taichi_cloth.settings.parameters import Parameter
 
-FRAME = "auto"
 WIDTH, THICKNESS, APART = 0.5, 0.01, 0.1  # of the sheets; from one to the next at the start [m]
 TURN, TILT = 18.0, 4.0  # of each against the one below; out of the horizontal [degrees]
 MATERIAL = Material(density=0.3, thickness=THICKNESS, stretch=15.0, shear=4.0, damping_time=4e-4)
@@ -61,6 +60,7 @@ def scene(
             up="y",
             gravity=(0.0, -9.81, 0.0),
             dt=1 / 60,
+            substeps="auto",
             mouse="blow",
             ground=0.0,
             friction=friction,

@@ -12,7 +12,6 @@ from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.model import Particles, Scene, World
 from taichi_cloth.settings.parameters import Parameter
 
-FRAME = "auto"
 WIDTH, HEIGHT, RIM = 4.0, 1.6, 0.1  # of the net; at which it hangs; width of its rim [m]
 NET, EDGE, LIGHT, HEAVY = (96, 200, 170), (44, 74, 132), (242, 206, 74), (214, 66, 60)
 # Where the spheres are above the net [m], and which part of the heavy one's mass each has.
@@ -63,6 +62,7 @@ def scene(
             up="y",
             gravity=(0.0, -9.81, 0.0),
             dt=1 / 60,
+            substeps="auto",
             mouse="blow",
             ground=0.0,
             friction=0.5,

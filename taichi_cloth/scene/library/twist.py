@@ -14,7 +14,6 @@ from taichi_cloth.scene.obstacles import Obstacle
 from taichi_cloth.scene.scatter import jittered
 from taichi_cloth.settings.parameters import Parameter
 
-FRAME = "auto"
 LENGTH, WIDTH, THICKNESS, HEIGHT = 1.6, 0.2, 0.006, 0.5  # of the strip; of its middle [m]
 BAR, GAP = 0.02, 0.012  # radius of the bars; from their surfaces to the strip [m]
 BENDING = 2e-5  # N m
@@ -73,6 +72,7 @@ def scene(
             up="y",
             gravity=(0.0, -9.81, 0.0),
             dt=1 / 60,
+            substeps="auto",
             mouse="blow",
             ground=0.0,
             friction=0.5,

@@ -16,7 +16,6 @@ from taichi_cloth.scene.cloth import grid, grid_triangles
 from taichi_cloth.scene.model import ParticleDefaults, Scene, SpringDefaults, World
 from taichi_cloth.settings.parameters import Parameter
 
-FRAME = "auto"
 SPACING, MASS, STIFFNESS, DAMPING = 0.1, 0.1, 1000.0, 10.0
 COLOR = (118, 185, 0)
 
@@ -42,7 +41,13 @@ def scene(
     reach = 4 * SPACING * side
     return Scene(
         name="warp",
-        world=World(size=(reach,) * 3, up="y", gravity=(0.0, -gravity, 0.0), dt=1 / 60),
+        world=World(
+            size=(reach,) * 3,
+            up="y",
+            gravity=(0.0, -gravity, 0.0),
+            dt=1 / 60,
+            substeps="auto",
+        ),
         particles=replace(particles, color=np.tile(np.array(COLOR, np.uint8), (side * side, 1))),
         springs=springs,
         triangles=grid_triangles(side, side)[:, ::-1],  # its front is above

@@ -36,7 +36,8 @@ class Finding:
     `simulation.live`; empty: there is none. back: how many frames before the last one to go on
     from; whole: whether that is the start. time: of each reading, (k,), the scene's; reach, energy,
     created: h omega, the energy of motion and springs, and what of it came from nothing, (k,).
-    limit: of h omega; None: there is none. reads: what `reach` is called.
+    limit: of h omega; None: there is none. reads: what `reach` is called. tried: whether settings
+    were tried; else the panel's key has that done.
     """
 
     title: str
@@ -53,13 +54,17 @@ class Finding:
     created: np.ndarray = field(default_factory=lambda: np.zeros(0))
     limit: float | None = None
     reads: str = "h omega"
+    tried: bool = True
 
 
 class Examiner(Protocol):
     """Finds out why a run failed."""
 
-    def examine(self, tell: Callable[[str], None]) -> Finding | None:
-        """What there is to say; None: nothing. tell: called with what is being tried."""
+    def examine(self, tell: Callable[[str], None], tries: bool) -> Finding | None:
+        """What there is to say; None: nothing.
+
+        tell: called with what is being tried; tries: whether settings are.
+        """
 
 
 class Why:

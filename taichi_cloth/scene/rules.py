@@ -1,0 +1,79 @@
+"""Rules of the physics that have changed, and the scenes that are others by that.
+
+Logs, checkpoints and recordings note the model under which they were made. What an earlier one made
+of a scene whose rules have changed since is refused; all else goes on to the same bits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from taichi_cloth.errors import InputError
+from taichi_cloth.scene.model import Scene
+from taichi_cloth.version import __version__
+
+MODEL = 2  # of what is made from here on
+NOTED: dict[str, Any] = {"model": MODEL, "version": __version__}  # by all that is made
+
+
+@dataclass(frozen=True)
+class Change:
+    """A rule that has changed.
+
+    model: the first one that has it as it is now. what: it is of, in words. touches: whether a
+    scene is another one by that. unless: what a log notes with which that does not matter; "":
+    nothing.
+    """
+
+    model: int
+    what: str
+    touches: Callable[[Scene], bool]
+    unless: str = ""
+
+
+def _assumes(*keys: str) -> Callable[[Scene], bool]:
+    """Whether the file of a scene leaves any of these keys open."""
+    return lambda scene: any(key in scene.assumed for key in keys)
+
+
+# Whoever changes a rule adds it here, and raises MODEL once a release has the one before.
+CHANGES = (
+    Change(
+        2,
+        "the radius and the restitution of what is in metres and gives none",
+        _assumes("particle.radius", "particle.restitution"),
+    ),
+    Change(
+        2,
+        "the steps of what is in metres and gives none",
+        _assumes("world.dt", "world.substeps"),
+        unless="dt",
+    ),
+)
+
+
+def refuse_changed(scene: Scene, noted: Mapping[str, Any], where: str) -> None:
+    """Raise InputError where something was made of this scene under rules that are others now.
+
+    noted: what it says of its run, "model" and "version" among it; where: what to call it.
+    """
+    model, version = noted.get("model", 1), noted.get("version")
+    by = f"taichi-cloth {version}" if version else "a taichi-cloth before models were noted"
+    if model > MODEL:
+        raise InputError(
+            f"{where}: was made under model {model}, by {by}, and this is taichi-cloth "
+            f"{__version__}, which knows models up to {MODEL}; take that version"
+        )
+    changed = [
+        change.what
+        for change in CHANGES
+        if model < change.model and change.unless not in noted and change.touches(scene)
+    ]
+    if changed:
+        raise InputError(
+            f"{where}: was made under model {model}, by {by}; since then {', and '.join(changed)} "
+            f"{'has' if len(changed) == 1 else 'have'} changed, and '{scene.name}' with it: "
+            "make it anew"
+        )
