@@ -10,6 +10,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from taichi_cloth.advice import trade as trade_command
+from taichi_cloth.advice import tune
 from taichi_cloth.cli import run_files
 from taichi_cloth.cli.main import main
 from taichi_cloth.errors import InputError, RunFailure
@@ -24,8 +26,6 @@ from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.scene.stencils import Stencils
 from taichi_cloth.simulation.diagnostics import acceleration_at_start
 from taichi_cloth.stability import command as stability_command
-from taichi_cloth.trade import command as trade_command
-from taichi_cloth.trade import tune
 
 COMMAND_LINES = [
     # (arguments, what the line must say)

@@ -141,7 +141,7 @@ def test_a_place_that_is_none_is_refused_in_one_line(words, says, tmp_path, monk
 
 def test_nobody_imports_dask_who_does_not_ask_for_it():
     code = (
-        "import sys, taichi_cloth.trade.tune, taichi_cloth.sweeps.cluster, taichi_cloth.cli.main;"
+        "import sys, taichi_cloth.advice.tune, taichi_cloth.sweeps.cluster, taichi_cloth.cli.main;"
         "print([name for name in sys.modules if name in ('dask', 'distributed')])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

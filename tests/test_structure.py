@@ -72,6 +72,7 @@ ROOMS = {
     "comparison": {"console", "files", "scene", "settings", "trade"},
     "beside": {"comparison", "kernels", "scene", "settings", "simulation", "trade"},
     "error_meter": {"console", "measuring", "runtime", "scene", "simulation", "trade"},
+    "advice": {*BASE, "console", "error_meter", "measuring", "runtime", "sweeps", "trade"},
     "budgets": {"console", "error_meter", "kernels", "limits", "runtime", "settings", "simulation"},
     "post_mortem": {"files", "kernels", "limits", "runtime", "scene", "settings", "simulation"},
     "benchmarks": {*BASE, "console", "measuring", "runtime", "simulation", "sweeps", "trade"}

@@ -39,8 +39,8 @@ COMMANDS = {
 SCENE_COMMANDS: dict[str, tuple[str, type[options.Options]]] = {
     "run": ("taichi_cloth.cli.run", options.RunOptions),
     "stability": ("taichi_cloth.stability.command", sweeps.StabilityOptions),
-    "trade": ("taichi_cloth.trade.command", sweeps.TradeOptions),
-    "tune": ("taichi_cloth.trade.tune", sweeps.TuneOptions),
+    "trade": ("taichi_cloth.advice.trade", sweeps.TradeOptions),
+    "tune": ("taichi_cloth.advice.tune", sweeps.TuneOptions),
     "explain": ("taichi_cloth.explain.command", options.ExplainOptions),
 }
 # Those that read their words themselves: the module whose main(words) does it.

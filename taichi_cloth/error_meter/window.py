@@ -14,11 +14,12 @@ from taichi_cloth.runtime import current_device
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.simulation.acts import noted
 from taichi_cloth.simulation.start import Start
+from taichi_cloth.trade.seconds import SECOND
 
 if TYPE_CHECKING:
     from taichi_cloth.simulation.simulation import Simulation
 
-FRAMES = 60  # a second of a window
+FRAMES = SECOND
 LEAST = FRAMES // 4  # frames of which an error says something
 WAITING = 60.0  # seconds that its references may take where the run waits for them
 FEW = 5000  # particles of which each frame is kept; of more each `STRIDE`th, which costs less

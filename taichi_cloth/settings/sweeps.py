@@ -70,7 +70,8 @@ class ComparisonOptions(Options):
     )
     frames: int | None = setting(
         None,
-        "frames to compare (default: about a swing of the slowest vibration)",
+        "the time that settings are judged over, in frames (default: the scene's own length, about "
+        "a swing of its slowest vibration: 300 at least)",
         int,
         minimum=1,
         maximum=100_000,
@@ -115,8 +116,8 @@ class TuneOptions(ComparisonOptions):
 
     error: str | None = setting(
         None,
-        "find the cheapest setting with at most this trajectory error: in world units, or with %, "
-        "in parts of the largest displacement",
+        "find the cheapest setting each of whose seconds is at most that wrong, as --error-meter "
+        "has it: in world units, or with %, in parts of the second's motion",
         str,
         metavar="X|X%",
     )

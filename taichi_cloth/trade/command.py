@@ -1,4 +1,4 @@
-"""The command ``taichi-cloth trade SCENE``: error beside cost, as files, a table and a plot."""
+"""A study of a scene as a command asks for it: prepared, measured, and written to files."""
 
 from __future__ import annotations
 
@@ -6,71 +6,28 @@ import contextlib
 import datetime
 import shlex
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from taichi_cloth import console
 from taichi_cloth.errors import InputError
-from taichi_cloth.files.names import name_for_file
-from taichi_cloth.files.pending import folder_of_results, write_all
+from taichi_cloth.files.pending import write_all
 from taichi_cloth.scene.fingerprint import scene_hash
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import ARCHS, PROGRAM
-from taichi_cloth.settings.sweeps import ComparisonOptions, TradeOptions
-from taichi_cloth.sweeps.cluster import connected
-from taichi_cloth.sweeps.identity import PACKAGES, of_scene
-from taichi_cloth.sweeps.journal import Journal, kept
+from taichi_cloth.settings.sweeps import ComparisonOptions
+from taichi_cloth.sweeps.identity import PACKAGES
+from taichi_cloth.sweeps.journal import Journal
 from taichi_cloth.sweeps.tasks import Elsewhere, said_of_lost
 from taichi_cloth.sweeps.within import Clock
-from taichi_cloth.trade import plot, reference, report, rows, runner, settings
+from taichi_cloth.trade import plot, reference, rows, runner, settings
 from taichi_cloth.trade.conditions import RunConditions, conditions, without_mouse
 from taichi_cloth.trade.outcomes import Result
 
 FILES = ("trade.csv", "trade.json", "trade.png", "trade.svg")
-
-
-def main(source: SceneSource, options: TradeOptions) -> int:
-    """Measure, write the files, print the table; the exit status."""
-    scene, chosen, how = prepare(source, options)
-    folder = Path(options.output or f"trade-{name_for_file(scene.name, 'scene')}")
-    known = of_scene("trade", source, options, scene, options.times_on)
-    with (
-        folder_of_results(folder, FILES),
-        connected(options.on, options.times_on) as elsewhere,
-        kept(folder, known, options.resume, within=how.clock.seconds) as journal,
-    ):
-        chosen, how = planned(scene, options, chosen, how, journal)
-        with measured(source, options, scene, chosen, how, journal, elsewhere) as result:
-            result.check_some(how.clock)
-            if not result.outcomes:
-                # Before anything was finished.
-                raise result.interrupted or KeyboardInterrupt
-            made = rows.rows_of(result, common(scene), run_words(source, how))
-        _show(folder, write(folder, source, options, result, made), result, made, len(chosen))
-        if result.interrupted:
-            raise result.interrupted
-        result.check_whole()
-    return 0
-
-
-def _show(
-    folder: Path,
-    written: Sequence[str],
-    result: Result,
-    made: Sequence[rows.Row],
-    chosen: int,
-) -> None:
-    """Print the table, what was written, and what to take; chosen: settings asked for."""
-    to = console.output()
-    report.show(result, made, to)
-    console.say(to, f"written: {folder}/ {', '.join(written)}")
-    if result.interrupted:
-        finished = f"{len(made)} of {chosen} settings were finished, and are kept"
-        console.say(to, f"interrupted: {finished}")
-    report.show_front(result, made, to)
 
 
 def prepare(

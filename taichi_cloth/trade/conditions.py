@@ -27,7 +27,8 @@ class RunConditions:
     fastest takes longer than a whole study. budget: seconds of timing for each setting;
     patience: seconds for the references. solver_errors: whether solvers are run converged, too.
     clock: when it has to end, and leave out the rest. accounts: whether what contacts do to the
-    energy is accounted for.
+    energy is accounted for. references: whether there is what to compare whole runs to. whole:
+    whether settings run all frames asked for; else those before chance begins.
     """
 
     topology: str
@@ -38,6 +39,8 @@ class RunConditions:
     solver_errors: bool = True
     clock: Clock = field(default_factory=Clock)
     accounts: bool = True
+    references: bool = True
+    whole: bool = False
 
     def of_trial(self, process: settings.Process) -> dict[str, Any]:
         """How a trial in a process of these kinds runs its scene, as its class takes it."""

@@ -68,6 +68,7 @@ class Result:
 
     outcomes: of the settings, in their order; converged: those with a converged solver, by setting.
     interrupted: by what, which the caller raises once it has kept what was finished; None: whole.
+    frames: that settings ran, None where none was to begin.
     clock: the time that it had; left_out: what did not fit in it, a line each.
     """
 
@@ -77,6 +78,7 @@ class Result:
     horizon: reference.Horizon | None
     reference: reference.Reference | None
     interrupted: KeyboardInterrupt | None = None
+    frames: int | None = None
     clock: Clock = field(default_factory=Clock)
     left_out: list[str] = field(default_factory=list)
 

@@ -33,7 +33,7 @@ Styles = dict[tuple[Any, ...], SeriesStyle]  # by `Setting.series`
 
 def draw(result: Result, rows: Sequence[Row], kinds: Sequence[str]) -> dict[str, bytes]:
     """The plot as files of these kinds ("png", "svg"); none where there is no error to show."""
-    errors = [e for row in rows if row.ok and (e := row.error_trajectory_relative) is not None]
+    errors = [e for row in rows if row.ok and (e := row.told()[1]) is not None]
     if not (errors and result.reference and result.horizon):
         return {}
     import matplotlib
@@ -41,7 +41,9 @@ def draw(result: Result, rows: Sequence[Row], kinds: Sequence[str]) -> dict[str,
     matplotlib.use("Agg")
     from matplotlib.figure import Figure
 
-    floor = max(result.reference.floor(result.horizon) / result.horizon.scale, LEAST)
+    judged = any(row.judged is not None for row in rows)
+    floor = LEAST if judged else result.reference.floor(result.horizon) / result.horizon.scale
+    floor = max(floor, LEAST)
     figure = Figure(figsize=(13, 6.5), layout="constrained")
     of_time, of_step = figure.subplots(1, 2, sharey=True)
     styles = _styles(rows)
@@ -69,7 +71,8 @@ def draw(result: Result, rows: Sequence[Row], kinds: Sequence[str]) -> dict[str,
             transform=of_step.get_yaxis_transform(),
         )  # fmt: skip
     _label_axes(of_time, of_step, rows)
-    of_time.set_ylabel(f"trajectory error (RMS, in parts of {result.horizon.what.split(',')[0]})")
+    what = f"trajectory error (RMS, in parts of {result.horizon.what.split(',')[0]})"
+    of_time.set_ylabel("error of the worst second (RMS, in parts of its motion)" * judged or what)
     figure.suptitle(_title(result), fontsize=11, parse_math=False)  # a name's $ is a $
     _legend(figure, styles, rows)
     return {kind: file_of(figure, kind) for kind in kinds}
@@ -80,7 +83,7 @@ def _title(result: Result) -> str:
     name = printable(result.scene.name)
     title = (
         f"{name}: error beside cost, {len(result.scene.particles)} particles, "
-        f"{result.horizon.frames} frames; reference: {result.reference.what}"
+        f"{result.frames or result.horizon.frames} frames; reference: {result.reference.what}"
     )
     if result.reference.event:
         title += f"\nnot smooth: {result.reference.event}"
@@ -125,7 +128,11 @@ def _draw_series(
         (of_step, [row.step for row, _ in ok]),
     ):
         here = [
-            (number, max(error, floor), "none" if row.below_floor else style.color)
+            (
+                number,
+                max(error, floor),
+                "none" if row.untold else style.color,
+            )
             for number, (row, error) in zip(numbers, ok, strict=True)
             if number
         ]
@@ -192,7 +199,7 @@ def _draw_front(axes: Axes, rows: Sequence[Row], floor: float) -> None:
         for row in rows
         if row.pareto
         and (seconds := row.a_frame(row.wall_seconds)) is not None
-        and (error := row.error_trajectory_relative) is not None
+        and (error := row.told()[1]) is not None
     ]
     front.sort(key=lambda point: point[0])
     x, y = [point[0] for point in front], [point[1] for point in front]
@@ -222,7 +229,7 @@ def _legend(figure: Figure, styles: Styles, rows: Sequence[Row]) -> None:
         for says, marker in solvers.items():
             add(says, marker=marker)
     add("on the Pareto front", color="black", marker="o", markersize=9, markerfacecolor="none")
-    if any(row.below_floor for row in rows):
+    if any(row.untold for row in rows):
         add("below the reference's floor", marker="o", markerfacecolor="none")
     if any(not row.ok for row in rows):
         add("failed", marker="x", markeredgewidth=1.8)

@@ -23,6 +23,7 @@ from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.trade import errors, ode
 from taichi_cloth.trade.errors import Distance, Samples, displacement, distance, rms_by_frame
+from taichi_cloth.trade.seconds import SECOND
 
 DISTURBANCE = 1e-10  # of the largest displacement: what the starts of two runs differ by
 # The horizon ends where it has grown to this: what is smaller by then is chance.
@@ -32,6 +33,7 @@ RESOLUTION = 16  # steps in 1 / omega of the coarsest of the fine runs
 MOST_STEPS = 2**28  # of that a frame: those of the next one, too, are counted in 32 bits
 ENOUGH = 1e-13  # of the scale: finer runs differ by round-off alone
 SAMPLES = 8_000_000  # numbers that the positions of a run may have: they are all kept
+LEAST, MOST = 5, 20  # seconds of a horizon that is left open
 TRUST = 10  # times what two references differ by: the least error that they can measure
 
 
@@ -92,16 +94,25 @@ class Reference:
 
 
 def default_frames(scene: Scene) -> int:
-    """Frames in which the slowest vibration swings once or so: 30 to 240, fewer of large scenes.
+    """Frames of the scene's own length: whole seconds in which the slowest vibration swings once or
+    so, 5 to 20 of them, or as many as can be kept of a large scene.
 
     A wave passes sqrt(k/m) springs per time; the farthest particle from a fixed one is reached and
     left four times in a period of the lowest mode.
     """
+    most = most_frames(scene)
+    longest = max(most // SECOND, 1) * SECOND
+    seconds = math.ceil(min(max(_slowest(scene) / scene.world.dt / SECOND, LEAST), MOST))
+    return min(seconds * SECOND, longest, most)
+
+
+def _slowest(scene: Scene) -> float:
+    """The period of the slowest vibration, about; 0 where there is none."""
     springs, particles = scene.springs, scene.particles
     n = len(particles)
     stiff = springs.stiffness > 0
     if not stiff.any():
-        return 60
+        return 0.0
     from scipy.sparse import csgraph, csr_matrix
 
     between = springs.between[stiff]
@@ -110,9 +121,7 @@ def default_frames(scene: Scene) -> int:
     far = csgraph.dijkstra(graph, directed=False, unweighted=True, indices=start, min_only=True)
     depth = max(float(far[np.isfinite(far)].max()), 1.0)
     mass = particles.mass[between].mean()
-    period = 4.0 * depth * np.sqrt(mass / springs.stiffness[stiff].mean())
-    most = min(240, most_frames(scene))
-    return round(float(np.clip(period / scene.world.dt, min(30, most), most)))
+    return 4.0 * depth * float(np.sqrt(mass / springs.stiffness[stiff].mean()))
 
 
 def most_frames(scene: Scene) -> int:

@@ -13,6 +13,7 @@ from taichi_cloth.sweeps.within import said_of_left_out
 from taichi_cloth.trade.outcomes import Result
 from taichi_cloth.trade.reference import Horizon, Reference
 from taichi_cloth.trade.rows import Row
+from taichi_cloth.trade.seconds import SECOND
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -23,7 +24,14 @@ GOOD = 0.01  # parts of the largest displacement: an error that nobody sees
 # Columns that a narrow terminal goes without, the first ones first; trade.csv has them all.
 SPARED = (
     *("sweeps", "forces", "quartiles", "worst at end", "strain", "energy drift"),
-    *("order", "energy by contacts", "by solver", "breaks (as in ref.)", "first touch"),
+    *(
+        "middle second",
+        "order",
+        "energy by contacts",
+        "by solver",
+        "breaks (as in ref.)",
+        "first touch",
+    ),
     "penetration",
 )
 OF_CONTACTS = ("penetration", "energy by contacts", "first touch")
@@ -34,7 +42,7 @@ OF_FRONT = ("method", "numbers", "substeps", "solver", "error", "time a frame")
 def show(result: Result, rows: Sequence[Row], to: Console) -> None:
     """Print the table and the notes below it."""
     columns = _columns(result, rows)
-    frames = result.horizon.frames if result.horizon else 0
+    frames = result.frames or (result.horizon.frames if result.horizon else 0)
     title = f"{result.scene.name}: error beside cost over {counted(frames, 'frame')}"
     styles = ["red" if not row.ok else "bold" if row.pareto else None for row in rows]
     lines = list(zip(*columns.values(), strict=True))
@@ -52,7 +60,9 @@ def show_front(result: Result, rows: Sequence[Row], to: Console) -> None:
     """Print the cheapest setting at each error, and one sentence that says which to take."""
     front = sorted((row for row in rows if row.pareto), key=_by_cost)
     if not front:
-        console.say(to, "Take none of these: no setting has both an error and a time.")
+        horizon = ", over the whole horizon" if (result.frames or 0) > SECOND else ""
+        why = f"no setting has both an error{horizon} and a time"
+        console.say(to, f"Take none of these: {why}{_more_time(result)}.")
         return
     columns = {name: of for name, of in _columns(result, front).items() if name in OF_FRONT}
     lines = list(zip(*columns.values(), strict=True))
@@ -65,6 +75,11 @@ def show_front(result: Result, rows: Sequence[Row], to: Console) -> None:
     setting = taken.setting.describe()
     console.say(to, f"Take {setting} ({error}, {a_frame} a frame), {why}; this runs it:")
     console.say_command(to, taken.command)
+
+
+def _more_time(result: Result) -> str:
+    """What would help, where there was too little time."""
+    return "; give more time, or fewer --frames" if result.clock.limited else ""
 
 
 def advised(front: Sequence[Row]) -> tuple[Row, str]:
@@ -80,7 +95,7 @@ def advised(front: Sequence[Row]) -> tuple[Row, str]:
     if lasting or good:
         taken = min(lasting or good, key=_by_cost)
         return taken, f"the cheapest with an error of at most {percent(GOOD)}"
-    best = min(front, key=lambda row: row.error_trajectory_relative or 0.0)
+    best = min(front, key=lambda row: row.told()[1] or 0.0)
     return best, "the most accurate there is"
 
 
@@ -104,6 +119,7 @@ def _columns(result: Result, rows: Sequence[Row]) -> dict[str, list[str]]:
         "substeps": [str(row.setting.substeps) for row in rows],
         "solver": [_solver(row) for row in rows],
         "error": [_error(row, result.reference, result.horizon) for row in rows],
+        "middle second": column(lambda row: percent(row.error_second_middle) if row.known else ""),
         "by solver": column(lambda row: _number(row.error_solver, _scale(result))),
         "worst at end": column(lambda row: percent(row.error_final_max_relative)),
         "order": column(lambda row: "" if row.order is None else f"{row.order:.2f}"),
@@ -124,7 +140,7 @@ def _columns(result: Result, rows: Sequence[Row]) -> dict[str, list[str]]:
     }
     if not any(row.breaks for row in rows):
         del columns["breaks (as in ref.)"]
-    for name in ("solver", "by solver", *OF_CONTACTS):
+    for name in ("solver", "middle second", "by solver", *OF_CONTACTS):
         if not any(columns[name]):
             del columns[name]
     return columns
@@ -140,10 +156,14 @@ def notes(result: Result, rows: Sequence[Row]) -> list[str]:
         said += [f"  {row.setting.describe()}: {row.status}" for row in failed[:MOST_FAILURES]]
     if len(failed) > MOST_FAILURES:
         said.append(f"  and {len(failed) - MOST_FAILURES} more, in trade.csv")
+    judged = [row for row in rows if row.judged]
+    if judged:
+        said += _seconds(judged)
     if result.horizon:
+        error = "errors of whole runs, in trade.csv" if judged else "error"
         said.append(
-            "error: root mean square distance from the reference, over the free particles and the "
-            f"ends of all frames, in parts of {result.horizon.what}: {result.horizon.scale:.4g}"
+            f"{error}: root mean square distance from the reference, over the free particles and "
+            f"the ends of all frames, in parts of {result.horizon.what}: {result.horizon.scale:.4g}"
         )
         said.append(result.horizon.describe())
     if result.reference is None:
@@ -167,6 +187,19 @@ def notes(result: Result, rows: Sequence[Row]) -> list[str]:
     unconverged = [row for row in rows if row.unconverged]
     if unconverged:
         said.append(f"in {len(unconverged)} settings the solver missed its tolerance in some steps")
+    return said
+
+
+def _seconds(judged: Sequence[Row]) -> list[str]:
+    """What the errors of seconds are, and how many of them nobody can know."""
+    said = [
+        f"error: that of the worst of {counted(judged[0].seconds, 'second')}, each by itself from "
+        "where the run stood, in parts of its motion: what run --error-meter says"
+    ]
+    unknown = sum(row.seconds - row.seconds_known for row in judged)
+    if unknown:
+        every = counted(sum(row.seconds for row in judged), "second")
+        said.append(f"of {unknown} of {every} the error cannot be known: references differ there")
     return said
 
 
@@ -210,9 +243,11 @@ def _solver(row: Row) -> str:
 def _error(row: Row, reference: Reference | None, horizon: Horizon | None) -> str:
     if not row.ok:
         return row.status.partition(":")[0]
+    if row.judged is not None:
+        return "not known" if row.error_second is None else percent(row.error_second)
     if row.error_trajectory_relative is None:
         return "not known"
-    if row.below_floor and reference and horizon:
+    if row.untold and reference and horizon:
         return FLOOR + percent(reference.floor(horizon) / horizon.scale)
     return percent(row.error_trajectory_relative)
 

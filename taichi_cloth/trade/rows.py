@@ -18,6 +18,7 @@ from taichi_cloth.scene.model import Scene
 from taichi_cloth.trade.errors import Breaks, Contacts, Invariants, Samples, distance
 from taichi_cloth.trade.outcomes import Outcome, Result
 from taichi_cloth.trade.reference import Horizon, Reference
+from taichi_cloth.trade.seconds import SECOND, Second
 from taichi_cloth.trade.settings import Setting, converged
 
 
@@ -36,6 +37,8 @@ class Row:
     and as good. command: runs it again.
     penetration_max, contact_energy, first_touch_later: of contacts (`errors.Contacts`), in the
     scene's units. timed_on: the name of the machine on which it was timed.
+    judged: its seconds, as the error meter has them; None where nobody judges them, as where the
+    horizon is one second, and the trajectory error is that second's.
     """
 
     setting: Setting
@@ -80,6 +83,40 @@ class Row:
     contact_energy: float | None = None
     first_touch_later: float | None = None
     timed_on: str = ""
+    judged: Sequence[Second] | None = None
+
+    @property
+    def known(self) -> list[Second]:
+        """The seconds whose error is known."""
+        return [second for second in self.judged or () if second.error is not None]
+
+    @property
+    def untold(self) -> bool:
+        """Whether its error is the least that the reference can tell from none."""
+        return self.below_floor and self.judged is None
+
+    @property
+    def seconds(self) -> int:
+        """How many seconds were judged."""
+        return len(self.judged or ())
+
+    @property
+    def seconds_known(self) -> int:
+        """Of how many of them the error is known."""
+        return len(self.known)
+
+    @property
+    def error_second(self) -> float | None:
+        """The error of the worst second, in parts of its motion."""
+        longer = self.judged is None and (self.frames or 0) > SECOND
+        return None if longer else self.told()[1]
+
+    @property
+    def error_second_middle(self) -> float | None:
+        """That of the second in the middle."""
+        if self.judged is None:
+            return self.error_second
+        return float(np.median([s.relative for s in self.known])) if self.known else None
 
     @property
     def ok(self) -> bool:
@@ -95,10 +132,14 @@ class Row:
         return seconds / self.frames if seconds is not None and self.frames else None
 
     def told(self) -> tuple[float | None, float | None]:
-        """The trajectory error, in world units and in parts of the scale, or the least that the
-        reference can tell from none.
+        """The error of the worst second, in world units and in parts of its motion; where seconds
+        were not judged the trajectory error, or the least that the reference can tell from none.
         """
-        if self.below_floor and self.floor is not None and self.scale:
+        if self.judged is not None:
+            lengths = [second.error or 0.0 for second in self.known]
+            parts = [second.relative or 0.0 for second in self.known]
+            return max(lengths, default=None), max(parts, default=None)
+        if self.untold and self.floor is not None and self.scale:
             return self.floor, self.floor / self.scale
         return self.error_trajectory, self.error_trajectory_relative
 
@@ -123,15 +164,21 @@ COLUMNS = (
     *("first_break", "first_break_later", "wall_lower", "wall_upper", "repeats", "frames"),
     *("topology", "execution", "threads", "device", "scene_hash", "versions", "command"),
     *("penetration_max", "contact_energy", "first_touch_later", "timed_on"),
+    *("error_second", "error_second_middle", "seconds", "seconds_known"),
 )
 ABOUT = ("device", "threads", "topology", "execution")  # what the process of a setting tells
 
 
-def rows_of(result: Result, common: Mapping[str, Any], command: Sequence[str]) -> list[Row]:
+def rows_of(
+    result: Result,
+    common: Mapping[str, Any],
+    command: Sequence[str],
+    seconds: Mapping[Setting, Sequence[Second]] | None = None,
+) -> list[Row]:
     """The rows of a study.
 
     common: what all rows share (scene_hash, versions). command: the words of a run of the scene,
-    to which each row's settings are added.
+    to which each row's settings are added. seconds: as judged, by setting.
     """
     judge = None
     if result.reference and result.horizon:
@@ -139,14 +186,17 @@ def rows_of(result: Result, common: Mapping[str, Any], command: Sequence[str]) -
     made = []
     for outcome in result.outcomes:
         about = {name: outcome.about[name] for name in ABOUT if name in outcome.about}
-        judged = judge.errors_of(outcome) if judge and outcome.ok else {}
+        judged: dict[str, Any] = {}
+        if outcome.ok:
+            judged = judge.errors_of(outcome) if judge else contacts_of(outcome.samples())
         row = Row(
             outcome.setting,
             status=outcome.status,
             force_evaluations=outcome.force_evaluations,
             sweeps=outcome.sweeps,
             unconverged=outcome.unconverged,
-            frames=result.horizon.frames if result.horizon else None,
+            frames=result.frames or (result.horizon.frames if result.horizon else None),
+            judged=None if seconds is None else seconds.get(outcome.setting, ()),
             command=shlex.join([*command, *outcome.setting.words()]),
             **common,
             **about,
@@ -164,7 +214,7 @@ def rows_of(result: Result, common: Mapping[str, Any], command: Sequence[str]) -
             )
         made.append(row)
     made = [replace(row, order=order) for row, order in zip(made, _orders(made), strict=True)]
-    front = pareto([_cost(row, judge.floor if judge else 0.0) for row in made])
+    front = pareto([_cost(row) for row in made])
     return [replace(row, pareto=on) for row, on in zip(made, front, strict=True)]
 
 
@@ -189,7 +239,8 @@ class _Judge:
 
     def errors_of(self, outcome: Outcome) -> dict[str, Any]:
         """The fields of a row that come from an outcome's samples."""
-        samples, true = outcome.samples(), self.reference.samples
+        whole, true = outcome.samples(), self.reference.samples
+        samples = whole.first(self.horizon.frames)
         apart, scale = distance(samples, true, self._free), self.horizon.scale
         mine = Invariants.of(self.scene, samples)
         found: dict[str, Any] = {
@@ -216,13 +267,7 @@ class _Judge:
                 "first_break": breaks.first,
                 "first_break_later": breaks.later,
             }
-        contacts = Contacts.of(samples, true)
-        found |= {
-            "penetration_max": contacts.penetration,
-            "contact_energy": contacts.energy,
-            "first_touch_later": contacts.later,
-        }
-        return found
+        return found | contacts_of(whole, true)
 
     def _errors_by_source(
         self, setting: Setting, samples: Samples, error: float
@@ -236,12 +281,22 @@ class _Judge:
         if twin not in self.converged:
             return {}
         if twin not in self._exact:
-            self._exact[twin] = self.converged[twin].samples()
+            self._exact[twin] = self.converged[twin].samples().first(self.horizon.frames)
         exact = self._exact[twin]
         return {
             "error_discretisation": distance(exact, self.reference.samples, self._free).trajectory,
             "error_solver": distance(samples, exact, self._free).trajectory,
         }
+
+
+def contacts_of(samples: Samples, reference: Samples | None = None) -> dict[str, Any]:
+    """The fields of a row that say what contacts did in the whole run."""
+    contacts = Contacts.of(samples, samples if reference is None else reference)
+    return {
+        "penetration_max": contacts.penetration,
+        "contact_energy": contacts.energy,
+        "first_touch_later": None if reference is None else contacts.later,
+    }
 
 
 def _orders(rows: Sequence[Row]) -> list[float | None]:
@@ -265,11 +320,12 @@ def _told_error(row: Row | None) -> float | None:
     return None if row is None or row.below_floor else row.error_trajectory
 
 
-def _cost(row: Row, floor: float) -> tuple[float, float] | None:
+def _cost(row: Row) -> tuple[float, float] | None:
     """(seconds, error), errors that cannot be told from none taken for alike."""
-    if not row.ok or row.wall_seconds is None or row.error_trajectory is None:
+    error = row.told()[1]
+    if not row.ok or row.wall_seconds is None or error is None:
         return None
-    return row.wall_seconds, max(row.error_trajectory, floor)
+    return row.wall_seconds, error
 
 
 def pareto(costs: Sequence[tuple[float, float] | None]) -> list[bool]:

@@ -58,7 +58,8 @@ class _Course:
         self.outcomes: dict[Setting, Outcome] = {}
         self.converged: dict[Setting, Outcome] = {}
         self.horizon: reference.Horizon | None = None
-        self.horizon_known = threading.Event()
+        self.frames: int | None = None  # that settings run
+        self.frames_known = threading.Event()
         self.fine: list[tuple[str, Samples]] = []
         self.smooth: ode.SmoothTrajectory | None = None
 
@@ -72,7 +73,9 @@ class _Course:
             closed, end = self.closed(times), float(times[-1])
             found = reference.decide(self.scene, frames, closed, self.smooth, end, self.fine)
         outcomes = [self.outcomes[setting] for setting in wanted if setting in self.outcomes]
-        return Result(self.scene, outcomes, self.converged, self.horizon, found, interrupted)
+        return Result(
+            self.scene, outcomes, self.converged, self.horizon, found, interrupted, self.frames
+        )
 
 
 class Study:
@@ -133,17 +136,21 @@ class Study:
         groups = self._groups()
         total = MAKING * sum(len(methods) for methods in groups.values())
         total += len(self._courses) * (
-            2 * MAKING + sum(len(of) for methods in groups.values() for of in methods.values())
+            2 * MAKING * self.how.references
+            + sum(len(of) for methods in groups.values() for of in methods.values())
         )
+        if not self.how.references:
+            self._begin_at_once()
         done = 0
         interrupted: KeyboardInterrupt | None = None
         failure: BaseException | None = None
         threads = 2 + min(len(groups), runtime.available_cores())
         with ThreadPoolExecutor(max_workers=threads) as pool:
             try:
-                tasks = [pool.submit(self._solve)]
+                tasks = [pool.submit(self._solve)] if self.how.references else []
                 tasks.append(pool.submit(self._send, groups))
                 tasks += [pool.submit(self._run_group, key, of) for key, of in groups.items()]
+                total = max(total, 1)
                 self.tell("starting", 0, total)
                 while any(not task.done() for task in tasks) or not self._news.empty():
                     with contextlib.suppress(queue.Empty):
@@ -152,7 +159,7 @@ class Study:
                         self.tell(text, min(done, total), total)
                     failed = [task.exception() for task in tasks if task.done()]
                     failure = next((f for f in failed if f is not None), None)
-                    if failure or self._pace.over(len(self._courses[-1].fine) > 1):
+                    if failure or self._pace.over(self._referenced):
                         break
             except KeyboardInterrupt as interrupt:
                 interrupted = interrupt
@@ -160,7 +167,7 @@ class Study:
             self._planned.set()
             self._computing.set()
             for course in self._courses:
-                course.horizon_known.set()
+                course.frames_known.set()
             self._came.set()
             for process in list(self._processes):
                 process.kill()
@@ -176,17 +183,30 @@ class Study:
                 self._say_left_out(result)
         return found
 
+    @property
+    def _referenced(self) -> bool:
+        """Whether there is what settings are compared to, where that is asked for."""
+        return not self.how.references or len(self._courses[-1].fine) > 1
+
+    def _begin_at_once(self) -> None:
+        """Have settings run without waiting for references."""
+        self._planned.set()
+        self._computing.set()
+        for course in self._courses:
+            course.frames = self._wished
+            course.frames_known.set()
+
     def _take_finished(self, course: _Course) -> None:
         """Take what an earlier run has finished and this one, in its time, did not come to."""
-        if course.horizon is None:
+        if course.frames is None:
             return
         exact = filter(None, map(settings.converged, self.settings))
         for setting in {*self.settings, *exact} - course.outcomes.keys() - course.converged.keys():
-            outcome = self._records.sampled(course.scene, setting, course.horizon.frames)
+            outcome = self._records.sampled(course.scene, setting, course.frames)
             if outcome is None:
                 continue
             wanted = outcome.ok and setting in self._wanted
-            if not wanted or self._records.timed(course.scene, outcome, course.horizon.frames):
+            if not wanted or self._records.timed(course.scene, outcome, course.frames):
                 self._finish(course, outcome)
 
     def _say_left_out(self, result: Result) -> None:
@@ -199,14 +219,16 @@ class Study:
 
     def _groups(self) -> dict[Process, dict[str, list[Setting]]]:
         """Settings by process and method, that of the references first."""
-        groups: dict[Process, dict[str, list[Setting]]] = {EXACT: {reference.fine_method(): []}}
+        groups: dict[Process, dict[str, list[Setting]]] = {}
+        if self.how.references:
+            groups[EXACT] = {reference.fine_method(): []}
         for setting in self.settings:
             of = groups.setdefault(setting.process, {}).setdefault(setting.method, [])
             of.append(setting)
         if self.how.clock.limited:  # what compiles soonest first
-            first = reference.fine_method()
+            first = [reference.fine_method()] * self.how.references
             for kind, methods in groups.items():
-                order = sorted(methods, key=lambda name: (name != first, rank(name)))
+                order = sorted(methods, key=lambda name: (name not in first, rank(name)))
                 groups[kind] = {name: methods[name] for name in order}
         for setting in self.settings:
             exact = settings.converged(setting)
@@ -250,10 +272,10 @@ class Study:
         """Have the samples of the processor taken elsewhere; what is lost there is run here."""
         tasks: list[Task] = []
         for course in self._courses if self._elsewhere else ():
-            course.horizon_known.wait()
-            if self._stop.is_set() or course.horizon is None:
+            course.frames_known.wait()
+            if self._stop.is_set() or course.frames is None:
                 return
-            frames = course.horizon.frames
+            frames = course.frames
             for kind, methods in groups.items():
                 # GPUs differ by machine, and so do errors on them.
                 for of in filter(None, methods.values() if kind[0] == "cpu" else ()):
@@ -281,7 +303,7 @@ class Study:
                 if kind != EXACT and not self._elsewhere:
                     self._compile_ahead(process, next(filter(None, methods.values())))
                 for number, (method, of) in enumerate(methods.items()):
-                    if kind == EXACT and number == 0:
+                    if kind == EXACT and number == 0 and self.how.references:
                         with self._quiet.working():
                             for course in self._courses:
                                 self._find_references(process, method, course)
@@ -301,7 +323,7 @@ class Study:
         """
         course = self._courses[0]
         self._computing.wait()
-        if course.horizon_known.is_set() or self._stop.is_set():
+        if course.frames_known.is_set() or self._stop.is_set():
             return
         begin = time.monotonic()
         # What cannot be compiled is an outcome of the settings that are asked for later.
@@ -316,11 +338,11 @@ class Study:
 
         later: the methods of this process that are still to come: those that fit have a share, too.
         """
-        course.horizon_known.wait()
+        course.frames_known.wait()
         self._came.wait()
-        if self._stop.is_set() or course.horizon is None:
+        if self._stop.is_set() or course.frames is None:
             raise Stopped
-        scene, frames = course.scene, course.horizon.frames
+        scene, frames = course.scene, course.frames
         with self._quiet.working():
             seconds = self._pace.share(1 + sum(map(self._pace.fits, later)))
             outcomes = self._sample_fitting(process, scene, of, frames, seconds)
@@ -402,7 +424,8 @@ class Study:
         size = reference.DISTURBANCE * reference.extent(scene, first)[0]
         second = run(substeps, self._asked, reference.disturbed(scene, size)).samples()
         horizon = course.horizon = reference.limit_horizon(scene, first, second)
-        course.horizon_known.set()
+        course.frames = self._wished if self.how.whole else horizon.frames
+        course.frames_known.set()
         self._computing.set()
         self._news.put((horizon.describe(), MAKING // 2))
 

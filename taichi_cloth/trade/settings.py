@@ -9,6 +9,7 @@ from typing import Any
 
 from taichi_cloth.errors import InputError, clipped, counted, nearest
 from taichi_cloth.limits.bounds import Bounds, any_geometry, step_within
+from taichi_cloth.limits.modes import ROUND_OFF
 from taichi_cloth.limits.network import Network
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.settings.options import (
@@ -26,7 +27,7 @@ DOUBLINGS = 6  # of the number of substeps, from the fewest that a method takes
 SHORT_DOUBLINGS = 4
 ITERATIONS = (1, 4, 16)  # sweeps a step, of methods that take their number
 SHORT_ITERATIONS = (1, 8)
-MOST_TRIED = 4096  # substeps with which doubling begins, at most
+MOST_NEEDED = 4096  # substeps: a method that needs more is compared where it is named
 CONVERGED_TOLERANCE = 1e-13  # relative residual, in f64
 CONVERGED_ITERATIONS = 256
 # Scenes with fewer particles run on the graph: lanes compile three times as long for little speed.
@@ -110,9 +111,9 @@ def choose(scene: Scene, options: ComparisonOptions, time: Clock | None = None) 
 
     time: for which they are planned, in the place of the options'.
 
-    Where the number of substeps is left open, it doubles from one, or, where a method needs more
-    to be stable, from the last power of two that is too few: one setting is then beyond the
-    limit, and may fail.
+    Where the number of substeps is left open, it doubles from the fewest that are stable, as the
+    limit is known. Methods that are stable at no step, or need too many, are compared where they
+    are named. Of the numbers of substeps asked for, those that may be too few come last.
     """
     from taichi_cloth.kernels import methods
 
@@ -137,7 +138,12 @@ def choose(scene: Scene, options: ComparisonOptions, time: Clock | None = None) 
             sweeps = iterations or (SHORT_ITERATIONS if short else ITERATIONS)
         if "tolerance" in takes:
             residuals = tolerances or [None]
-        counts = asked or _doubling(dt / largest_step(method, bounds), short)
+        stable = step_within(methods.load(method), bounds)
+        needed = dt / (stable or growing_step(bounds))
+        if not (options.methods or (stable and needed <= MOST_NEEDED)):
+            continue
+        counts = sorted(asked, key=lambda count: (count < needed, count))
+        counts = counts or _doubling(needed, short)
         for arch in archs:
             for precision, fast_math in _maths(precisions, options.without_fast_math):
                 settings += [
@@ -194,21 +200,14 @@ def converged(setting: Setting) -> Setting | None:
     )
 
 
-def largest_step(method: str, bounds: Bounds) -> float:
-    """The largest stable step by the limits of a scene; of a method that is never stable, that of
-    one that is while dt * omega < 2, in which it grows slowly.
-    """
-    from taichi_cloth.kernels import methods
-
-    step = step_within(methods.load(method), bounds)
-    return step or 2.0 / max(math.sqrt(bounds.omega2), bounds.damping)
+def growing_step(bounds: Bounds) -> float:
+    """A step at which a method that is stable at none grows slowly: that at which dt omega is 2."""
+    return 2.0 / max(math.sqrt(bounds.omega2), bounds.damping)
 
 
 def _doubling(needed: float, short: bool) -> list[int]:
     """Numbers of substeps, where at least `needed` are stable."""
-    fewest = 1
-    if needed > 1:
-        fewest = min(2 ** (math.ceil(math.log2(needed)) - 1), MOST_TRIED)
+    fewest = max(1, math.ceil(needed * (1 - ROUND_OFF)))
     return [fewest << k for k in range(SHORT_DOUBLINGS if short else DOUBLINGS)]
 
 

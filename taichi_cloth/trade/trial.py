@@ -6,6 +6,7 @@ A setting's error and its time are measured apart, so that reading positions is 
 from __future__ import annotations
 
 import contextlib
+import json
 import pickle
 import time
 from pathlib import Path
@@ -18,6 +19,7 @@ from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.trade.errors import CONTACTS
+from taichi_cloth.trade.seconds import SECOND, arrays_of_start
 from taichi_cloth.trade.settings import Process
 
 MOST_REPEATS = 101
@@ -77,7 +79,8 @@ class Trial:
     ) -> dict[str, Any]:
         """Run `frames` frames; the state at the start and after each goes to `file` (npz).
 
-        Arrays are those of `errors.Samples`; rows of a run that fails end with its last good frame.
+        Arrays are those of `errors.Samples`, and of each second's start (`seconds`); rows of
+        a run that fails end with its last good frame.
         Returns its work, its seconds, those of them in which states were read, and `failed`, how it
         ended: also one most of whose steps did not converge has failed.
         """
@@ -92,6 +95,7 @@ class Trial:
         deepest = 0.0
         sim.account_contacts()
         alive = np.ones((frames + 1, sim.spring_count if breaks else 0), bool)
+        starts: dict[str, Any] = {}
         failed = ""
         done = 0
         for frame in range(frames + 1):
@@ -110,6 +114,8 @@ class Trial:
             if frame and sim.can_touch():
                 deepest = max(deepest, sim.penetration())
             contacts[frame] = self._contacts(deepest)
+            if frame % SECOND == 0 and frame < frames:
+                starts |= arrays_of_start(frame, sim.start())
             read_in += time.perf_counter() - reading
             done = frame + 1
         if not failed and sim.work().mostly_unconverged:
@@ -117,7 +123,14 @@ class Trial:
         # As the device has them: in f32 half as large, and the same numbers.
         real = np.float32 if runtime.current_device().precision == "f32" else np.float64
         kept_x, kept_v = x[:done].astype(real), v[:done].astype(real)
-        np.savez(file, x=kept_x, v=kept_v, alive=alive[:done], contacts=contacts[:done])
+        kept: dict[str, Any] = {
+            "x": kept_x,
+            "v": kept_v,
+            "alive": alive[:done],
+            "contacts": contacts[:done],
+        }
+        kept |= starts | {"solver": json.dumps(dict(sim.solver))}
+        np.savez(file, **kept)
         self._ran.add(_run_of(dt, substeps, solver))
         work = sim.work()
         return {

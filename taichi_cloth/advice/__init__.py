@@ -1,0 +1,1 @@
+"""Advice from a study: its settings judged second by second, by the error meter."""
