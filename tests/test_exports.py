@@ -7,13 +7,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import trimesh
+from gltf import glb
 
+from taichi_cloth import Simulation
 from taichi_cloth.cli.main import main
 from taichi_cloth.errors import InputError
 from taichi_cloth.files import exports
 from taichi_cloth.files.exports import Export
 from taichi_cloth.files.exports.frame import Clock
 from taichi_cloth.files.trajectory import Trajectory, load
+from taichi_cloth.scene.source import SceneSource
 
 TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])
 SPRINGS = np.array([[0, 1], [1, 2], [2, 3], [3, 0], [0, 2]])
@@ -25,7 +28,7 @@ class Moving:
     """What an export asks of a simulation: four particles that move, a triangle that tears."""
 
     dt = DT
-    scene = SimpleNamespace(file_points=None)
+    scene = SimpleNamespace(file_points=None, world=SimpleNamespace(dim=3, up="y"))
 
     def __init__(self, surface=True):
         self.frame, self.surface, self.more = 0, surface, 0
@@ -135,6 +138,8 @@ def test_a_rate_is_whole_but_for_rounding_in_every_unit_of_time():
     for rate in rates:
         assert Clock(1 / rate, 1).rate == pytest.approx(rate, rel=1e-15)
         assert Clock(1 / rate, 1).rate.is_integer() == (rate != 24000 / 1001)
+    for dt, rate in ((0.0166667, 60.0), (0.016667, 1 / 0.016667), (0.0083333, 120.0), (1.0, 1.0)):
+        assert Clock(dt, 1).rate == rate
 
 
 @pytest.mark.parametrize("name", FORMATS)
@@ -263,7 +268,7 @@ class Clicked(Moving):
     def __init__(self):
         super().__init__()
         began = SimpleNamespace(position=self.positions(), fixed=np.zeros(4, bool))
-        world = SimpleNamespace(dim=3)
+        world = SimpleNamespace(dim=3, up="y")
         self.scene = SimpleNamespace(world=world, particles=began, file_points=None)
 
     @property
@@ -339,6 +344,86 @@ def test_an_export_whose_run_went_back_is_as_if_it_had_never_been_there(tmp_path
         assert made(tmp_path / name, began, gone, on) == straight and straight[1:] == (5, 0)
     *_, frames, left_out = made(tmp_path / name, began, gone, (7, range(8, 9), gone[2]))
     assert (frames, left_out) == (4, 2)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_scene_whose_y_points_down_hangs_downwards(tmp_path, name):
+    """Turned half round about x, so that no triangle is turned over; archives are the scene's."""
+    sim = Moving()
+    sim.scene = SimpleNamespace(file_points=None, world=SimpleNamespace(dim=3, up=""))
+    export, kept = recorded(tmp_path / name, 2, sim=sim)
+    export.save()
+    points, faces, _ = read_back(tmp_path / name, name)
+    turn = [1, 1, 1] if name == "a.npz" else [1, -1, -1]
+    for n, x in points.items():
+        np.testing.assert_allclose(x, kept[n] * turn, atol=1e-6, rtol=0)
+    if faces is not None:
+        np.testing.assert_array_equal(faces[1], TRIANGLES)
+
+
+def test_a_cache_has_its_mesh_beside_it_and_never_over_another_one(tmp_path, capsys):
+    """As the scene begins, with the same vertices; a mesh that fits is left as it is."""
+    (tmp_path / "cloth.glb").write_bytes(glb(np.eye(4)))
+    scene = SceneSource(str(tmp_path / "cloth.glb")).build()
+    sim = Simulation(scene, method="symplectic_euler", substeps=100, topology="graph")
+
+    def made():
+        export = Export(tmp_path / "out.pc2", sim.dt, scene=scene)
+        sim.advance()
+        export.record(sim, last=True)
+        export.save()
+
+    made()
+    mesh = trimesh.load(tmp_path / "out.obj", process=False)
+    sample = np.frombuffer((tmp_path / "out.pc2").read_bytes(), "<f4", offset=32).reshape(4, 3)
+    np.testing.assert_array_equal(mesh.vertices, scene.particles.position)
+    np.testing.assert_array_equal(mesh.faces, scene.triangles)
+    np.testing.assert_allclose(sample, sim.positions(), atol=1e-6)
+    # A user's own file of this mesh, whose vertices lie elsewhere.
+    own = (tmp_path / "out.obj").read_text().replace("# frame", "# mine").replace("v 1", "v 1.0")
+    (tmp_path / "out.obj").write_text(own)
+    made()
+    assert (tmp_path / "out.obj").read_text() == own
+    other = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 4\nf 2 3 4\n"
+    (tmp_path / "out.obj").write_text(other)
+    before = (tmp_path / "out.pc2").read_bytes()
+    words = ["run", str(tmp_path / "cloth.glb"), "--headless", "--frames", "2"]
+    assert main([*words, "--export", str(tmp_path / "out.pc2")]) == 2
+    says = f"--export {tmp_path}/out.pc2: the mesh that it fits, '{tmp_path}/out.obj', would be wri"
+    assert says in capsys.readouterr().err and (tmp_path / "out.pc2").read_bytes() == before
+    assert (tmp_path / "out.obj").read_text() == other and not list(tmp_path.glob("*.part"))
+    with pytest.raises(InputError, match="there is no folder"):
+        Export(tmp_path / "none/out.pc2", sim.dt, scene=scene)
+
+
+def test_torn_cloth_in_obj_files_is_noted_once(tmp_path):
+    """With the frames in which vertices have no face; formats that keep these say nothing."""
+    for name, says in (
+        (
+            "frames/cloth.obj",
+            ["in 3 frames torn cloth has vertices without a face, up to 1: B"],
+        ),
+        ("frames/cloth.ply", []),
+        ("a.usda", []),
+    ):
+        export, _ = recorded(tmp_path / name, 6)
+        assert [note[: len(s)] for note, s in zip(export.notes(), says, strict=True)] == says
+        export.rewind(3)
+        assert export.notes() == []
+        export.discard()
+
+
+def test_what_is_exported_is_valid_usd(tmp_path):
+    """By usd-core's own validators: of a surface that tears, and of points alone."""
+    usd, checks = pytest.importorskip("pxr.Usd"), pytest.importorskip("pxr.UsdValidation")
+    for surface in (True, False):
+        path = tmp_path / f"{surface}.usda"
+        export, _ = recorded(path, 6, sim=Moving(surface))
+        export.save()
+        validators = checks.ValidationRegistry().GetOrLoadAllValidators()
+        stage = usd.Stage.Open(str(path))
+        assert len(validators) > 20 and stage.GetTimeCodesPerSecond() == 24
+        assert checks.ValidationContext(validators).Validate(stage) == []
 
 
 def test_formats_that_are_none_are_refused_by_name(tmp_path, monkeypatch, capsys):

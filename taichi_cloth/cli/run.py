@@ -176,6 +176,8 @@ def _run_in(window: Window, run: Run, device: Device) -> int:
         along = beside.twin.later[1] if beside else 0.0
         print(run_notes.last_line(sim, summary, seconds, errors.waited + along), flush=True)
         run_notes.note_refused(summary.refused)
+        for note in files.recordings.export.notes() if files.recordings.export else ():
+            run_notes.say(f"note: {note}")
         if log and options.frames is None and not view.visible:
             run_notes.note_unreplayed(log, summary.frames)
         for line in beside.findings(summary.frames) if beside else ():

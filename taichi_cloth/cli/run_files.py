@@ -88,7 +88,7 @@ def _export(scene: Scene, options: RunOptions) -> Export | None:
     if options.export is None:
         return None
     dt = options.dt if isinstance(options.dt, float) else scene.world.dt
-    return Export(options.export, dt, options.every)
+    return Export(options.export, dt, options.every, scene)
 
 
 @contextlib.contextmanager

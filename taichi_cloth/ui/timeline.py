@@ -255,7 +255,7 @@ class Timeline:
             raise InputError(f"{path}: there is no frame to export yet")
         whole = Path(path).suffix.lower() == ".npz"
         trajectory = Trajectory(path) if whole else None
-        export = None if whole else Export(Path(path), self._sim.dt)
+        export = None if whole else Export(Path(path), self._sim.dt, scene=self._sim.scene)
         recordings = Recordings(trajectory, export)
         try:
             with self._visiting():

@@ -14,9 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from taichi_cloth.errors import InputError, nearest
+from taichi_cloth.files import meshes
 from taichi_cloth.files.exports import npz, pc2, sequence, usd
 from taichi_cloth.files.exports.frame import Clock, Frame, Writer
-from taichi_cloth.files.trajectory import Recordable
+from taichi_cloth.files.pending import PendingFile
+from taichi_cloth.files.trajectory import Exportable, Recordable
 
 # What writes the formats, by suffix.
 WRITERS: dict[str, Callable[[Path, Clock], Writer]] = {
@@ -28,22 +30,33 @@ WRITERS: dict[str, Callable[[Path, Clock], Writer]] = {
     ".usd": usd.Stage,
     ".usdc": usd.Stage,
 }
+OWN_COORDINATES = (".npz",)  # formats that have the scene's own; in all others y points up
 
 
 class Export:
     """Every `every`-th frame of a simulation, in files for other programs.
 
-    dt: time of a frame. Raises InputError at once, naming the flag `--export`, where the path
-    cannot be written, or names no format.
+    dt: time of a frame; scene: what is exported, of which a point cache has the mesh beside it.
+    Raises InputError at once, naming the flag `--export`, where the path cannot be written, names
+    no format, or that mesh would replace another one.
 
     Points are the particles or, where a mesh was welded, the vertices of its file. The particles
     are those of the first frame that is noted: what is clicked in later is left out, since the
     formats have the same points in all frames, and is counted in `left_out`.
     """
 
-    def __init__(self, path: str | Path, dt: float, every: int = 1):
+    def __init__(
+        self, path: str | Path, dt: float, every: int = 1, scene: Exportable | None = None
+    ):
         self.every = operator.index(every)
-        self._writer = open_export(Path(path), Clock(dt, self.every))
+        path, clock = Path(path), Clock(dt, self.every)
+        self._own = path.suffix.lower() in OWN_COORDINATES
+        self._mesh = _mesh_beside(path, clock, scene) if scene is not None else None
+        try:
+            self._writer = open_export(path, clock)
+        except InputError:
+            self._discard_mesh()
+            raise
         self._points = 0
         self._noted: list[tuple[int, int]] = []  # frames, and how many particles each leaves out
 
@@ -101,25 +114,92 @@ class Export:
         # What ends at a particle that is left out would have an end that no file has.
         tied, spanned = ((ends < self._points).all(axis=1) for ends in (edges, faces))
         held, whole = sim.springs_alive()[tied], sim.triangles_alive()[spanned]
-        edges, faces = edges[tied], faces[spanned]
-        of_files = sim.scene.file_points
-        if of_files is not None:  # what was clicked in stands after them
-            own = np.arange(len(of_files.first), self._points)
-            first = np.concatenate([of_files.first, len(of_files.particle) + np.arange(len(own))])
-            points = points[np.concatenate([of_files.particle, own])]
-            edges, faces = (
-                first[edges],
-                np.concatenate([of_files.corners, first[faces[len(of_files.corners) :]]]),
-            )
+        points, faces, edges = _of_files(sim.scene, points, faces[spanned], edges[tied])
+        if not self._own:
+            points = _hanging(sim.scene, points)
         return Frame(sim.frame, sim.time, points, faces, whole, edges, held)
+
+    def notes(self) -> list[str]:
+        """What is to be said of the files, a sentence each."""
+        return self._writer.notes() if isinstance(self._writer, sequence.Sequence) else []
 
     def save(self) -> None:
         """Write what is not yet written, and give the files their names. Once only."""
         self._writer.finish()
+        if self._mesh is not None:
+            self._mesh.commit()
 
     def discard(self) -> None:
         """Leave nothing behind, unless saved; what was at the path before stays."""
         self._writer.discard()
+        self._discard_mesh()
+
+    def _discard_mesh(self) -> None:
+        if self._mesh is not None:
+            self._mesh.discard()
+
+
+def _of_files(
+    scene: Exportable, points: np.ndarray, faces: np.ndarray, edges: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Particles (n, 3), their triangles and springs: those of a mesh that was welded as its file
+    has them. What was clicked in stands after them.
+    """
+    of_files = scene.file_points
+    if of_files is None:
+        return points, faces, edges
+    own = np.arange(len(of_files.first), len(points))
+    first = np.concatenate([of_files.first, len(of_files.particle) + np.arange(len(own))])
+    later = first[faces[len(of_files.corners) :]]
+    corners = np.concatenate([of_files.corners, later])
+    return points[np.concatenate([of_files.particle, own])], corners, first[edges]
+
+
+def _hanging(scene: Exportable, points: np.ndarray) -> np.ndarray:
+    """Points (n, 3) with y up: of a scene whose y points down, turned half round about x."""
+    if scene.world.up:
+        return points
+    turned: np.ndarray = np.column_stack([points[:, 0], 0.0 - points[:, 1], 0.0 - points[:, 2]])
+    return turned
+
+
+def _mesh_beside(path: Path, clock: Clock, scene: Exportable) -> PendingFile | None:
+    """The mesh that a point cache fits, NAME.obj beside it, still to be committed; None for other
+    formats, and where the mesh is there already. InputError where another one is.
+    """
+    if path.suffix.lower() != ".pc2":
+        return None
+    beside = path.with_suffix(".obj")
+    x = np.zeros((len(scene.particles.position), 3))
+    x[:, : scene.particles.position.shape[1]] = scene.particles.position
+    x, faces, edges = _of_files(scene, x, scene.triangles, scene.springs.between)
+    whole, held = np.ones(len(faces), bool), np.ones(len(edges), bool)
+    text = sequence.obj(Frame(0, 0.0, _hanging(scene, x), faces, whole, edges, held), clock)
+    if os.path.exists(beside):
+        if not _is_mesh(beside, text, len(x), faces):
+            raise InputError(
+                f"--export {path}: the mesh that it fits, '{beside}', would be written over "
+                "another one; name the cache otherwise"
+            )
+        return None
+    mesh = PendingFile(beside)
+    mesh.write(text)
+    return mesh
+
+
+def _is_mesh(path: Path, text: bytes, count: int, faces: np.ndarray) -> bool:
+    """Whether a file has as many vertices, and triangles between the same ones."""
+    try:
+        if path.read_bytes() == text:
+            return True
+        surface = meshes.read(path)
+    except (OSError, InputError):
+        return False
+
+    def rows(triangles: np.ndarray) -> np.ndarray:
+        return np.unique(np.sort(triangles, axis=1), axis=0)
+
+    return len(surface.vertices) == count and np.array_equal(rows(surface.triangles), rows(faces))
 
 
 def open_export(path: Path, clock: Clock) -> Writer:

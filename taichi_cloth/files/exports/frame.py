@@ -22,8 +22,8 @@ class Clock:
     def rate(self) -> float:
         """Frames in a unit of the scene's time: in a second, where the scene has seconds."""
         rate = 1 / self.dt
-        # 1 / 60 is not exactly what a scene's dt is.
-        return float(round(rate)) if abs(rate - round(rate)) < 1e-9 * rate else rate
+        # Files say dt = 0.0166667; film slowed for television, 24000 / 1001, is farther from whole.
+        return float(round(rate)) if abs(rate - round(rate)) < 1e-5 * rate else rate
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,8 @@ class Frame:
     """One frame.
 
     number: as the simulation counts, the first step's end is 1. time: at its end.
-    position: (n, 3). triangles: (m, 3) particles; whole: which of them are not torn, (m,) bool.
-    springs: (s, 2) particles; held: which of them hold, (s,) bool.
+    position: (n, 3). triangles: (m, 3) points; whole: which of them are not torn, (m,) bool.
+    springs: (s, 2) points; held: which of them hold, (s,) bool.
     """
 
     number: int

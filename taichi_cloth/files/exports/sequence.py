@@ -16,7 +16,7 @@ from typing import NoReturn
 
 import numpy as np
 
-from taichi_cloth.errors import InputError
+from taichi_cloth.errors import InputError, counted
 from taichi_cloth.files.exports.frame import Clock, Frame
 from taichi_cloth.files.pending import creation_mask, refusal
 
@@ -30,6 +30,7 @@ class Sequence:
 
     def __init__(self, path: Path, clock: Clock):
         self._path, self._clock = path, clock
+        self._loose: dict[int, int] = {}  # vertices that no face has any more, by frame
         self._text = {".ply": ply, ".obj": obj}[path.suffix.lower()]
         folder = Path(os.path.realpath(path.parent))
         self._target, self._done = folder, False
@@ -55,6 +56,8 @@ class Sequence:
 
     def add(self, frame: Frame) -> None:
         file = self._folder / f"{self._path.stem}_{frame.number:05d}{self._path.suffix}"
+        if self._text is obj:
+            self._loose[frame.number] = _loose(frame)
         try:
             file.write_bytes(self._text(frame, self._clock))
         except OSError as error:
@@ -64,11 +67,24 @@ class Sequence:
             file.unlink(missing_ok=True)
             raise
 
+    def notes(self) -> list[str]:
+        """What is to be said of the files, a sentence each."""
+        frames = [loose for loose in self._loose.values() if loose]
+        if not frames:
+            return []
+        return [
+            f"in {counted(len(frames), 'frame')} torn cloth has vertices without a face, up to "
+            f"{max(frames)}: Blender and trimesh drop such vertices of OBJ files, and number the "
+            "others anew; PLY and USD keep them"
+        ]
+
     def restart(self) -> None:
+        self._loose = {}
         for file in self._folder.iterdir():
             file.unlink()
 
     def rewind(self, frame: int) -> None:
+        self._loose = {number: of for number, of in self._loose.items() if number <= frame}
         for file in self._folder.iterdir():
             if int(file.stem.rpartition("_")[2]) > frame:
                 file.unlink()
@@ -102,6 +118,11 @@ class Sequence:
         self._done = True
         with contextlib.suppress(OSError):
             shutil.rmtree(self._folder)
+
+
+def _loose(frame: Frame) -> int:
+    """How many vertices had a face, and have none since cloth is torn."""
+    return len(np.setdiff1d(frame.triangles, frame.faces()))
 
 
 def _about(frame: Frame, clock: Clock) -> str:
