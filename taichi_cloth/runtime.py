@@ -266,7 +266,7 @@ def _initialize(
         return False
     ti = mending.imported()
     ti.set_logging_level(ti.CRITICAL)  # it warns of the fallback that we refuse ourselves
-    with _silence():
+    with _silence(), mending.told_nothing():
         _end()
         before = _own_threads()
         ti.init(

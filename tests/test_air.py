@@ -10,6 +10,7 @@ from scipy.spatial import Delaunay
 from selection import mostly_thorough, thorough
 
 from taichi_cloth.errors import InputError, SimulationFailure
+from taichi_cloth.front_end.mending import kernel
 from taichi_cloth.kernels import forces, methods, sine
 from taichi_cloth.kernels.forces import air
 from taichi_cloth.kernels.packs import set_slot_value, slot_number, slot_value
@@ -77,14 +78,14 @@ def falling(device):
     return Simulation(sheet(), topology="graph", execution="serial")
 
 
-@ti.kernel
+@kernel
 def damping_of_triangles(spec: ti.template(), state: ti.template(), out: ti.types.ndarray()):
     compute_traction_damping(spec, state, 0)
     for i in range(out.shape[0]):
         out[i] = slot_number(spec, state.traction_damping, state.slot[i])
 
 
-@ti.kernel
+@kernel
 def product_of_triangles(
     spec: ti.template(), state: ti.template(), along: ti.types.ndarray(), out: ti.types.ndarray()
 ):
@@ -533,7 +534,7 @@ def test_the_series_of_a_sine_is_one(device, monkeypatch):
     angles = np.linspace(-50.0, 900.0, 501)
     found = np.zeros((2, 501))
 
-    @ti.kernel
+    @kernel
     def compute(angles: ti.types.ndarray(), found: ti.types.ndarray()):
         for k in range(angles.shape[0]):
             found[0, k], found[1, k] = sine.sine_and_cosine(ti.f64, angles[k])

@@ -16,6 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from selection import mostly_thorough
 
+from taichi_cloth.front_end.mending import kernel
 from taichi_cloth.kernels import loops, methods
 from taichi_cloth.kernels.packs import plus
 from taichi_cloth.kernels.watchdog import NO_FAULT
@@ -110,7 +111,7 @@ def two_numbers(spec: ti.template(), state: ti.template(), i):
     return [ti.cast(i + 1, state.real), ti.cast((i * 7919) % 1009, state.real)]
 
 
-@ti.kernel
+@kernel
 def join_all(
     spec: ti.template(), state: ti.template(), packs: ti.i32, pieces: ti.i32, groups: ti.i32
 ):

@@ -8,6 +8,7 @@ import taichi as ti
 from cloths import mixed
 from inside import spec_of, state_of
 
+from taichi_cloth.front_end.mending import kernel
 from taichi_cloth.kernels import forces
 from taichi_cloth.kernels.accelerations import binds, damping_of, resists, stiffness_of
 from taichi_cloth.kernels.forces.contract import (
@@ -164,7 +165,7 @@ def test_energies_are_potentials_of_twins(name):
     assert -work / (2 * h) == pytest.approx((force * way).sum(), rel=1e-6)
 
 
-@ti.kernel
+@kernel
 def derivatives(spec: ti.template(), state: ti.template(), out: ti.types.ndarray()):
     """out (n, 2): stiffness and damping of the forces on each particle."""
     for i in range(out.shape[0]):

@@ -1,4 +1,4 @@
-"""Taichi's front end after `mending.mend`: it reads the same kernels, and says the same."""
+"""Taichi's front end while `mending` mends it: it reads the same kernels, and says the same."""
 
 import ast
 import functools
@@ -7,21 +7,28 @@ import importlib
 import inspect
 import itertools
 import linecache
+import os
 import pkgutil
 import subprocess
 import sys
 import textwrap
+import threading
 import weakref
+from pathlib import Path
 
 import numpy as np
 import pytest
 import taichi as ti
+from selection import as_thorough
 from taichi.lang import kernel_impl
 from taichi.lang.kernel_impl import Kernel
 
 import taichi_cloth.kernels
 from taichi_cloth import runtime
 from taichi_cloth.front_end import mending
+from taichi_cloth.front_end.mending import kernel
+from taichi_cloth.front_end.replacements import Replacements
+from taichi_cloth.kernels import vectors
 
 
 @pytest.fixture(autouse=True)
@@ -30,19 +37,21 @@ def started(device):
 
 
 def test_functions_of_classes_and_of_functions_are_told_apart():
-    @ti.data_oriented
-    class Counter:
-        @ti.func
-        def more(self, i):
-            return 2 * i + 1
+    with mending._defining:
+
+        @ti.data_oriented
+        class Counter:
+            @ti.func
+            def more(self, i):
+                return 2 * i + 1
+
+            @ti.kernel
+            def count(self, i: ti.i32) -> ti.i32:
+                return self.more(i)
 
         @ti.kernel
-        def count(self, i: ti.i32) -> ti.i32:
-            return self.more(i)
-
-    @ti.kernel
-    def count(i: ti.i32) -> ti.i32:
-        return 3 * i
+        def count(i: ti.i32) -> ti.i32:
+            return 3 * i
 
     assert Counter().count(4) == 9 and count(4) == 12
 
@@ -196,7 +205,7 @@ def test_functions_of_one_name_keep_their_own_source():
             def law(x):  # noqa: F811
                 return x * 10
 
-        @ti.kernel
+        @kernel
         def apply(x: ti.i32, law: ti.template()) -> ti.i32:
             return law(x)
 
@@ -205,7 +214,7 @@ def test_functions_of_one_name_keep_their_own_source():
 
 
 def test_an_error_in_a_kernel_names_its_line():
-    @ti.kernel
+    @kernel
     def wrong(n: ti.i32):
         for _i in range(n):
             _x = nobody_defined_this + 1  # noqa: F821
@@ -224,7 +233,7 @@ def test_an_error_in_what_is_inlined_leaves_others_a_whole_tree():
     def at(x: ti.template(), i):
         return x[i, i] + 1
 
-    @ti.kernel
+    @kernel
     def read(x: ti.template()) -> ti.i32:
         return at(x, 1)
 
@@ -244,7 +253,7 @@ def test_a_function_that_comes_into_itself_has_a_tree_for_each():
             y += apply(depth - 1, y) * apply(depth - 1, x)
         return y + x  # its own, whatever was read in between
 
-    @ti.kernel
+    @kernel
     def run(x: ti.i32) -> ti.i32:
         return apply(2, x)
 
@@ -267,7 +276,7 @@ def test_what_functions_were_given_is_not_kept_with_their_trees():
 
         container = Container()
 
-        @ti.kernel
+        @kernel
         def run() -> ti.f32:
             return first(container)
 
@@ -282,24 +291,80 @@ def test_what_functions_were_given_is_not_kept_with_their_trees():
     assert left() is None
 
 
+@pytest.mark.parametrize("words", [[], as_thorough(["--thread"])], ids=["one", "many"])
+def test_other_programs_on_taichi_notice_nothing(words, tmp_path):
+    """Gradients, templates, structs, sparse trees, errors, settings, and each part of Taichi."""
+    program = Path(__file__).with_name("foreign.py")
+    environment = os.environ | {"TI_SKIP_VERSION_CHECK": "ON"}
+    environment.pop("ENABLE_TAICHI_HEADER_PRINT", None)
+    done = subprocess.run(
+        [sys.executable, program, *words],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env=environment,
+    )
+    assert (done.returncode, done.stdout.splitlines()[-1:]) == (0, ["nothing differs"]), done
+
+
+class Part:
+    """Something whose parts can be replaced."""
+
+    number = 1
+
+    @staticmethod
+    def of(x):
+        return x
+
+
+def test_parts_are_put_back_once_nobody_needs_them_replaced():
+    """By whom they were last needed, be it in another thread, and whatever happened meanwhile."""
+    own = dict(vars(Part))
+    made = []
+    replaced = Replacements(
+        lambda: made.append(1) or [(Part, "number", 2), (Part, "of", staticmethod(str))]
+    )
+    entered, leave = threading.Event(), threading.Event()
+
+    def needs():
+        with replaced:
+            entered.set()
+            leave.wait()
+
+    another = threading.Thread(target=needs)
+    with pytest.raises(ZeroDivisionError), replaced:
+        another.start()
+        entered.wait()
+        with replaced:
+            assert (Part.number, Part.of(3)) == (2, "3")
+        _ = 1 // 0
+    assert (Part.number, Part.of(3)) == (2, "3")
+    leave.set()
+    another.join()
+    assert dict(vars(Part)) == own and made == [1]
+
+
 def test_a_taichi_that_is_made_otherwise_is_left_alone(monkeypatch):
+    """All that is replaced is what kernels of packs cannot do without."""
+
     def plain(self, is_kernel, something_new):
         """As of another Taichi."""
 
-    monkeypatch.setattr(kernel_impl, "_get_tree_and_ctx", plain)
-    mending.mend()
-    assert kernel_impl._get_tree_and_ctx is plain
-    monkeypatch.delattr(kernel_impl, "_inside_class")
-    mending.mend()
-    assert kernel_impl._get_tree_and_ctx is plain and not mending.functions_work()
+    def replaced():
+        mending._is_as_known.cache_clear()
+        return {(of.__name__, name) for of, name, _ in mending._replacements()}
 
-
-def test_what_is_mended_is_not_mended_again(monkeypatch):
-    """Trees would be given back twice, and read by two at once."""
-    transform = kernel_impl.transform_tree
-    monkeypatch.setattr(mending, "functions_work", lambda: False)  # as tests of parts do
-    mending.mend()
-    assert kernel_impl.transform_tree is transform
+    needed = {(of.__name__, name) for of, name, _ in vectors._replacements()}
+    try:
+        assert replaced() > needed
+        monkeypatch.setattr(kernel_impl, "_get_tree_and_ctx", plain)
+        assert replaced() == needed and not mending.functions_work()
+        monkeypatch.undo()
+        monkeypatch.delattr(kernel_impl, "_inside_class")
+        assert replaced() == needed and not mending.functions_work()
+    finally:
+        monkeypatch.undo()
+        assert replaced() > needed
 
 
 def test_functions_inline_what_they_call():
@@ -318,7 +383,7 @@ def test_functions_inline_what_they_call():
 
     total = ti.field(ti.i32, ())
 
-    @ti.kernel
+    @kernel
     def run(x: ti.i32) -> ti.i32:
         return 10 * twice(x, total)
 
@@ -330,7 +395,7 @@ def test_what_is_compiled_soon_reads_what_was_stored():
     """Taichi without its search alone keeps two copies of a place that two expressions read."""
     stored, seen = ti.field(ti.f32, 8), ti.field(ti.f32, 8)
 
-    @ti.kernel
+    @kernel
     def count(times: ti.i32):
         for i in range(8):
             for _ in range(times):
@@ -358,7 +423,7 @@ def test_conditions_have_the_values_that_they_have_in_python():
             a == b or x < 0.5 and not b < c,
         ]
 
-    @ti.kernel
+    @kernel
     def count(a: ti.i32, b: ti.i32, c: ti.i32, x: ti.f32) -> ti.i32:
         found = 0
         if a < b:
@@ -385,11 +450,11 @@ def test_what_is_not_needed_is_neither_read_nor_divided_by():
     """By zero a processor divides no whole numbers: the process would end."""
     numbers = ti.field(ti.i32, 4)
 
-    @ti.kernel
+    @kernel
     def divide(a: ti.i32, b: ti.i32) -> ti.i32:
         return ti.select(b != 0 and a // b == 2, 1, 0) + ti.select(b == 0 or a % b == 1, 10, 0)
 
-    @ti.kernel
+    @kernel
     def read(i: ti.i32) -> ti.i32:
         found = 0
         if 0 <= i < 4 and numbers[i] == 0:
@@ -403,12 +468,12 @@ def test_what_is_not_needed_is_neither_read_nor_divided_by():
 def test_what_components_come_to_is_what_it_was():
     """Added up from the first component on, as before: floating-point numbers would tell."""
 
-    @ti.kernel
+    @kernel
     def of_vector(a: ti.types.vector(4, ti.f32)) -> ti.types.vector(5, ti.f32):
         b = ti.Vector([2.0, 0.5, 1.0, 4.0], ti.f32)
         return ti.Vector([a.dot(b), a.sum(), a.max(), (a * b).min(), a.norm_sqr()])
 
-    @ti.kernel
+    @kernel
     def of_matrix(a: ti.types.matrix(2, 2, ti.i32)) -> ti.types.vector(3, ti.i32):
         return ti.Vector([a.sum(), a.max(), ti.select((a > 0).all(), 1, 0)])
 
@@ -426,7 +491,7 @@ def test_what_components_come_to_is_what_it_was():
 def test_branches_on_the_same_condition_may_follow_each_other():
     """Taichi joins them, and ends with an error where one alone has an `else`."""
 
-    @ti.kernel
+    @kernel
     def count(a: ti.i32, b: ti.i32) -> ti.i32:
         found, k = 0, 0
         if a < b:

@@ -6,6 +6,7 @@ import taichi as ti
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from taichi_cloth.front_end.mending import kernel
 from taichi_cloth.kernels import laws
 
 pytestmark = pytest.mark.usefixtures("device")
@@ -15,7 +16,7 @@ vectors = st.tuples(numbers, numbers, numbers).map(np.array)
 positive = st.floats(0.01, 100)
 
 
-@ti.kernel
+@kernel
 def evaluate(law: ti.template(), a: ti.types.ndarray(), out: ti.types.ndarray()):
     """out = law(vectors and numbers of `a`): 0 spring, 1 dashpot, 2 pair, 3 stiffness, by `law`."""
     for _ in range(1):
@@ -100,7 +101,7 @@ def test_spring_with_coincident_ends_pulls_nowhere():
     assert (value(1, (0, 0, 0), u=(1, 2, 3), numbers=(3.0,)) == 0).all()
 
 
-@ti.kernel
+@kernel
 def roots(a: ti.types.ndarray(), out: ti.types.ndarray()):
     for i in range(a.shape[0]):
         out[i] = laws.root(a[i])

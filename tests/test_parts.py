@@ -12,6 +12,7 @@ import taichi as ti
 from selection import as_thorough
 
 from taichi_cloth.front_end import mending
+from taichi_cloth.front_end.mending import kernel
 from taichi_cloth.kernels import parts
 from taichi_cloth.simulation.simulation import Simulation
 
@@ -54,7 +55,7 @@ def act(digit):
 ACTS = tuple(act(digit) for digit in (1, 2, 3))
 
 
-@ti.kernel
+@kernel
 def write_all(spec: ti.template(), state: ti.template(), times: ti.i32):
     for _ in range(1):
         state.step[None] = 0

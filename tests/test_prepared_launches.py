@@ -10,13 +10,14 @@ import pytest
 import small
 import taichi as ti
 
+from taichi_cloth.front_end.mending import kernel
 from taichi_cloth.kernels import readback
 from taichi_cloth.simulation import prepared
 from taichi_cloth.simulation.prepared import PreparedLaunches
 from taichi_cloth.simulation.simulation import Simulation
 
 
-@ti.kernel
+@kernel
 def mix(state: ti.template(), start: ti.i32, numbers: ti.types.ndarray(), factor: ti.f64) -> ti.f64:
     """Add numbers and `factor` times the state's count of particles, from `start` on."""
     total = ti.cast(0.0, ti.f64)
@@ -75,18 +76,18 @@ def test_other_kinds_of_arguments_are_found_apart(sim):
 
 
 def test_kernels_without_a_state_or_with_vectors_are_launched_as_usual(sim):
-    @ti.kernel
+    @kernel
     def moved(state: ti.template(), by: ti.math.vec3):
         state.time[None] = by[0]
 
     launches, state = PreparedLaunches(), inside.state_of(sim)
     half = np.zeros(2, np.int32), np.zeros((2, 1))
-    for kernel, given in (
+    for launched, given in (
         (moved, (state, ti.math.vec3(1.0, 2.0, 3.0))),
         (readback.read_numbers, (state.w, *half)),
     ):
-        launches.note(kernel, given)
-        assert launches.find(kernel, given) is None
+        launches.note(launched, given)
+        assert launches.find(launched, given) is None
 
 
 def test_fields_that_are_dropped_are_not_kept():

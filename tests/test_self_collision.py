@@ -11,6 +11,7 @@ from intersections import intersecting_pairs
 from selection import as_thorough
 
 from taichi_cloth.errors import SimulationFailure
+from taichi_cloth.front_end.mending import kernel
 from taichi_cloth.kernels import methods
 from taichi_cloth.kernels.kept_pairs import NEAR_BITS
 from taichi_cloth.kernels.near_pairs import find_pairs
@@ -98,7 +99,7 @@ def test_coarse_built_in_scenes_never_intersect(device, name):
     assert with_any == 0
 
 
-@ti.kernel
+@kernel
 def find_near(spec: ti.template(), state: ti.template()):
     """What the beginning of contacts does in a step, on one thread."""
     for _ in range(1):
@@ -171,7 +172,7 @@ def test_pairs_are_listed_in_the_order_of_their_places(pool):
     assert compared > 100
 
 
-@ti.kernel
+@kernel
 def find_and_colour(spec: ti.template(), state: ti.template()):
     """What comes before the sweeps of a step, on one thread."""
     for _ in range(1):
@@ -206,14 +207,14 @@ def test_pairs_of_a_colour_have_no_particle_in_common(pool):
 vector = ti.types.vector(3, ti.f64)
 
 
-@ti.kernel
+@kernel
 def put_out(spec: ti.template(), state: ti.template(), at: int, x: vector, v: vector) -> vector:
     """Where the particle at a place, at x with a velocity of v, is put by obstacles."""
     out, _ = out_of_obstacles(spec, state, at, x, v)
     return out
 
 
-@ti.kernel
+@kernel
 def stopped(spec: ti.template(), state: ti.template(), at: int, x: vector, v: vector) -> vector:
     """The velocity that it goes on with."""
     _, out = out_of_obstacles(spec, state, at, x, v)

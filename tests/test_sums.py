@@ -7,6 +7,7 @@ from cloths import LINKS, cloth, mixed
 from inside import add_sums, add_vectors, move_to, spec_of, state_of, take_step
 from selection import mostly_thorough
 
+from taichi_cloth.front_end.mending import kernel
 from taichi_cloth.kernels import laws
 from taichi_cloth.kernels.compensated import difference
 from taichi_cloth.kernels.graph import number
@@ -51,7 +52,7 @@ def leave(spec: ti.template(), state: ti.template(), c):
     """Nothing: each_pack renews the halos."""
 
 
-@ti.kernel
+@kernel
 def sum_springs(
     spec: ti.template(),
     state: ti.template(),
@@ -119,7 +120,7 @@ def links_energy(spec: ti.template(), state: ti.template(), c):
     return total
 
 
-@ti.kernel
+@kernel
 def elastic_energy(spec: ti.template(), state: ti.template()) -> ti.f64:
     """Sum over links, then over the graph's half-springs, half of each."""
     if ti.static(spec.kinds > 0):

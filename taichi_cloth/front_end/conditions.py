@@ -23,6 +23,8 @@ import functools
 from collections.abc import Callable
 from typing import Any
 
+from taichi_cloth.front_end.replacements import Replacement
+
 # What is replaced or called here of Taichi's modules.
 NEEDED = {
     "ops": ("logical_and", "logical_not", "cast", "bit_and", "bit_or"),
@@ -31,20 +33,26 @@ NEEDED = {
 }
 
 
-def mend() -> None:
-    """Mend the Taichi that is imported, once, before kernels are read."""
+def replacements() -> list[Replacement]:
+    """What stands in for parts of the Taichi that is imported, while a kernel is read."""
     from taichi.lang import impl, ops
     from taichi.lang.ast.ast_transformer import ASTTransformer
 
-    ops.logical_and = _beginning(ops.logical_and)
-    ops.logical_not = _in_pairs(ops.logical_not)
-    ops.cast = _casting(ops.cast)
-    ops.bit_and, ops.bit_or = _by_numbers(ops.bit_and), _by_numbers(ops.bit_or)
     has_else: list[bool] = []  # of each `if` that is being read, the innermost last
-    for read in ("build_If", "build_While"):  # a loop begins with: if it goes on, else break
-        reading = _noting(getattr(ASTTransformer, read), has_else)
-        setattr(ASTTransformer, read, staticmethod(reading))
-    impl.begin_frontend_if = _branching(impl.begin_frontend_if, has_else)
+    # A loop begins with: if it goes on, else break.
+    readers = {
+        name: staticmethod(_noting(getattr(ASTTransformer, name), has_else))
+        for name in ("build_If", "build_While")
+    }
+    return [
+        (ops, "logical_and", _beginning(ops.logical_and)),
+        (ops, "logical_not", _in_pairs(ops.logical_not)),
+        (ops, "cast", _casting(ops.cast)),
+        (ops, "bit_and", _by_numbers(ops.bit_and)),
+        (ops, "bit_or", _by_numbers(ops.bit_or)),
+        *((ASTTransformer, name, reader) for name, reader in readers.items()),
+        (impl, "begin_frontend_if", _branching(impl.begin_frontend_if, has_else)),
+    ]
 
 
 def _is_condition(value: Any) -> bool:
@@ -84,10 +92,10 @@ def _casting(cast: Callable[..., Any]) -> Callable[..., Any]:
     """Taichi's cast, which leaves conditions that are to be conditions."""
 
     @functools.wraps(cast)
-    def given(value: Any, kind: Any) -> Any:
+    def given(obj: Any, dtype: Any) -> Any:  # named as Taichi names them: some are given by name
         from taichi.types.primitive_types import u1
 
-        return value if kind is u1 and _is_condition(value) else cast(value, kind)
+        return obj if dtype is u1 and _is_condition(obj) else cast(obj, dtype)
 
     return given
 

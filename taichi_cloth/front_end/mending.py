@@ -21,6 +21,9 @@ What it makes of conditions and of sums takes the compiler long, which `conditio
 mend. And where a real function calls an inlined one, that comes into the kernel instead of the
 function (Taichi 1.7.4 ends the process then). Here it comes into what calls it. And what a real
 function was made of, with the fields that it was given, is kept no longer than it is read.
+
+Taichi is mended while one of our kernels is read, functions here are defined, or fields made, and
+is itself again right afterwards: other programs in this process find it as it was.
 """
 
 from __future__ import annotations
@@ -36,13 +39,15 @@ import sys
 import textwrap
 import threading
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
-from types import CodeType, FrameType
+from importlib.machinery import SOURCE_SUFFIXES, FileFinder, SourceFileLoader
+from types import CodeType, FrameType, ModuleType
 from typing import Any
 
 from taichi_cloth import imports
 from taichi_cloth.front_end import conditions, reductions
+from taichi_cloth.front_end.replacements import Replacement, Replacements
 
 # What is replaced or called of Taichi's modules: a Taichi that lacks any of it is left alone.
 HERE = {
@@ -56,26 +61,41 @@ HERE = {
     "ast.ast_transformer_utils": ("Builder", "ASTTransformerContext", "handle_exception_from_cpp"),
 }
 NEEDED = HERE, conditions.NEEDED, reductions.NEEDED
+# What keeps Taichi silent where it is imported and started.
+SILENT = {"ENABLE_TAICHI_HEADER_PRINT": "0", "TI_SKIP_VERSION_CHECK": "ON"}
 # Nodes of syntax trees that Taichi writes nothing on: there is one of each kind for all trees.
 SHARED = ast.expr_context, ast.boolop, ast.operator, ast.unaryop, ast.cmpop
 
 _importing = threading.RLock()
 _found: list[Any] = []  # Taichi, once `imported` has it
+_more: list[Callable[[], Iterable[Replacement]]] = []  # of `replace_too`
 
 
 def imported() -> Any:
-    """Taichi, mended; the first call imports it, and others that come meanwhile wait.
+    """Taichi; the first call imports it, and others that come meanwhile wait.
 
-    It says nothing then: it would print a banner, and ask a server for its newest version.
+    It says nothing then: it would print a banner.
     """
     with _importing:
         if not _found:
-            os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
-            os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
-            with _no_server_asked(), _classes_told_by_frames():
+            with told_nothing(), _no_server_asked(), _classes_told_by_frames():
                 _found.append(imports.module("taichi"))
-                mend()
         return _found[0]
+
+
+@contextlib.contextmanager
+def told_nothing() -> Iterator[None]:
+    """While it lasts, Taichi prints no banner, and asks no server for its newest version.
+
+    Unless the environment says otherwise, which is afterwards as it was.
+    """
+    lacking = {name: value for name, value in SILENT.items() if name not in os.environ}
+    os.environ.update(lacking)
+    try:
+        yield
+    finally:
+        for name in lacking:
+            os.environ.pop(name, None)
 
 
 def _no_server_asked() -> contextlib.AbstractContextManager[None]:
@@ -85,44 +105,88 @@ def _no_server_asked() -> contextlib.AbstractContextManager[None]:
     return contextlib.nullcontext()
 
 
-def mend() -> None:
-    """Mend the Taichi that is imported; once is enough, and more does no harm.
+# --- while one of our kernels is read -------------------------------------------------------------
 
-    It should come before kernels are defined.
 
-    A Taichi that is made otherwise is left as it is: it is only slower.
+def kernel(function: Callable[..., Any]) -> Any:
+    """Taichi's decorator `ti.kernel`, for kernels here: while one is read, Taichi is mended."""
+    made = imported().kernel(function)
+    made._primal.__class__ = _kernel_class()
+    return made
+
+
+@functools.cache
+def _kernel_class() -> type:
+    from taichi.lang.kernel_impl import Kernel
+
+    class MendedKernel(Kernel):  # type: ignore[misc]
+        """A kernel that Taichi reads mended. To launch it costs what it did."""
+
+        def materialize(self, key: Any = None, args: Any = None, arg_features: Any = None) -> None:
+            self.runtime.materialize()
+            if key is None or key not in self.compiled_kernels:
+                with _reading, _notes():
+                    super().materialize(key, args, arg_features)
+
+    return MendedKernel
+
+
+def replace_too(make: Callable[[], Iterable[Replacement]]) -> None:
+    """Replace more while kernels are read: what `make` returns. To be called before any is."""
+    _more.append(make)
+
+
+def _replacements() -> Iterator[Replacement]:
+    """All that is replaced while a kernel is read.
+
+    Of a Taichi that is made otherwise, only what kernels here cannot do without: the rest is speed.
     """
-    if _is_mended() or not _is_as_known():
+    for make in _more:
+        yield from make()
+    if not _is_as_known():
         return
-    from taichi.lang import expr, impl, kernel_impl, snode
+    from taichi.lang import expr, impl, kernel_impl
     from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext, Builder
 
-    conditions.mend()
-    reductions.mend()
-    kernel_impl._inside_class = _inside_class
-    kernel_impl._get_tree_and_ctx = _tree_and_context
-    kernel_impl.transform_tree = _giving_back(kernel_impl.transform_tree)
-    kernel_impl.Func.do_compile = _dropping(kernel_impl.Func.do_compile)
-    ASTTransformerContext.get_pos_info = _place
-    Builder.__call__ = _visiting(impl.get_runtime)
-    expr._check_in_range = _is_in_range
-    expr._clamp_unsigned_to_range = _wrapped_into_range
-    impl.get_traceback = snode.get_traceback = _no_stack
+    yield from conditions.replacements()
+    yield from reductions.replacements()
+    yield from _defining_replacements()
+    yield kernel_impl, "_get_tree_and_ctx", _tree_and_context
+    yield kernel_impl, "transform_tree", _giving_back(kernel_impl.transform_tree)
+    yield kernel_impl.Func, "do_compile", _dropping(kernel_impl.Func.do_compile)
+    yield ASTTransformerContext, "get_pos_info", _place
+    yield Builder, "__call__", _visiting(impl.get_runtime)
+    yield expr, "_check_in_range", _is_in_range
+    yield expr, "_clamp_unsigned_to_range", _wrapped_into_range
+
+
+_reading = Replacements(_replacements)
+_kept: list[dict[str, Any]] = []  # notes of the kernels that are being read, the innermost last
+
+
+@contextlib.contextmanager
+def _notes() -> Iterator[None]:
+    _kept.append({})
+    try:
+        yield
+    finally:
+        _kept.pop()
+
+
+def notes() -> dict[str, Any]:
+    """What is kept of the kernel that is being read, as long as it is; else nothing is."""
+    return _kept[-1] if _kept else {}
 
 
 def functions_work() -> bool:
-    """Whether real functions may call others: `mend` has found the Taichi that it knows."""
-    return _is_mended()
+    """Whether real functions may call others: Taichi is mended, as it is the one that is known."""
+    return _is_as_known()
 
 
-def _is_mended() -> bool:
-    from taichi.lang import kernel_impl
-
-    return kernel_impl._get_tree_and_ctx is _tree_and_context
-
-
+@functools.cache
 def _is_as_known() -> bool:
     """Whether Taichi has all that is replaced or called here, and reads functions as is known."""
+    imported()
     for of, names in (one for needed in NEEDED for one in needed.items()):
         module = importlib.import_module(f"taichi.lang.{of}")
         if not all(hasattr(module, name) for name in names):
@@ -130,6 +194,42 @@ def _is_as_known() -> bool:
     kernel_impl = importlib.import_module("taichi.lang.kernel_impl")
     theirs = inspect.signature(kernel_impl._get_tree_and_ctx)
     return list(theirs.parameters) == list(inspect.signature(_tree_and_context).parameters)
+
+
+# --- while functions are defined, and fields are made ---------------------------------------------
+
+
+def _defining_replacements() -> Iterator[Replacement]:
+    from taichi.lang import kernel_impl
+
+    if _is_as_known():
+        yield kernel_impl, "_inside_class", _inside_class
+
+
+def _stackless_replacements() -> Iterator[Replacement]:
+    from taichi.lang import impl, snode
+
+    if _is_as_known():
+        yield impl, "get_traceback", _no_stack
+        yield snode, "get_traceback", _no_stack
+
+
+_defining = Replacements(_defining_replacements)
+# While it lasts, fields are made without a text of the stack.
+fields_without_stacks = Replacements(_stackless_replacements)
+
+
+class _Loader(SourceFileLoader):
+    """Loads a module of device code; Taichi hears by frames where its functions are defined."""
+
+    def exec_module(self, module: ModuleType) -> None:
+        with _defining:
+            super().exec_module(module)
+
+
+def load_quickly(folder: str) -> None:
+    """Have Python load the modules in a folder by `_Loader`."""
+    sys.path_importer_cache[folder] = FileFinder(folder, (_Loader, SOURCE_SUFFIXES))
 
 
 # --- sources and their trees ----------------------------------------------------------------------

@@ -11,15 +11,17 @@ import functools
 from collections.abc import Callable
 from typing import Any
 
+from taichi_cloth.front_end.replacements import Replacement
+
 # What is replaced or called here of Taichi's modules.
 NEEDED = {"matrix_ops": ("_reduce",), "impl": ("expr_init", "subscript")}
 
 
-def mend() -> None:
-    """Mend the Taichi that is imported, once, before kernels are read."""
+def replacements() -> list[Replacement]:
+    """What stands in for parts of the Taichi that is imported, while a kernel is read."""
     from taichi.lang import matrix_ops
 
-    matrix_ops._reduce = _reducing(matrix_ops._reduce)
+    return [(matrix_ops, "_reduce", _reducing(matrix_ops._reduce))]
 
 
 def _reducing(reduce: Callable[..., Any]) -> Callable[..., Any]:

@@ -20,6 +20,11 @@ These names mean the same in every file of this folder, and docstrings do not re
   halos; pitch: how many lie from the start of one row to the start of the next.
 """
 
+import os
+
 from taichi_cloth.front_end import mending
 
-mending.imported()  # before they are defined: Taichi reads files for each definition otherwise
+mending.imported()  # it would print a banner otherwise
+for _folder, _, _files in os.walk(__path__[0]):
+    if "__init__.py" in _files:
+        mending.load_quickly(_folder)  # Taichi reads files for each function otherwise

@@ -17,6 +17,7 @@ way, by Simpson's rule: exact for what is linear, and no rounding of a large sum
 
 import taichi as ti
 
+from taichi_cloth.front_end.mending import kernel
 from taichi_cloth.kernels.compensated import difference
 from taichi_cloth.kernels.contact import has_impulses, velocity_jump
 from taichi_cloth.kernels.copies import keep
@@ -190,7 +191,7 @@ def _keep_start(spec: ti.template(), state: ti.template(), i):
     keep(spec, state, i, "opened")
 
 
-@ti.kernel
+@kernel
 def begin_account(spec: ti.template(), state: ti.template()):
     """Begin an account with the next step."""
     state.accounting[None], state.first_touch[None] = 1, NEVER

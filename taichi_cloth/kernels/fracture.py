@@ -8,6 +8,7 @@ agree. With a spring those stencils go (`stencils.py`) that need it.
 
 import taichi as ti
 
+from taichi_cloth.front_end.mending import kernel
 from taichi_cloth.kernels.graph import number
 from taichi_cloth.kernels.grids import link_index, link_offset, pitch_of
 from taichi_cloth.kernels.links import link_stiffness
@@ -220,7 +221,7 @@ def _mark_links(spec: ti.template(), state: ti.template(), i):
                 _mark_link(spec, state, s, g, i, lane)
 
 
-@ti.kernel
+@kernel
 def mark_new_springs(spec: ti.template(), state: ti.template(), step: ti.i32):
     """Mark the springs that are over their limit after step number `step`, outside of any: they
     break in the next one.
@@ -232,7 +233,7 @@ def mark_new_springs(spec: ti.template(), state: ti.template(), step: ti.i32):
         each(spec, state, 0, state.n_springs[None], _mark_spring)
 
 
-@ti.kernel
+@kernel
 def cut_springs(
     spec: ti.template(),
     state: ti.template(),

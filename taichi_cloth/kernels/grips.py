@@ -8,6 +8,7 @@ not add up: where it is, is computed anew from the obstacle's pose.
 
 import taichi as ti
 
+from taichi_cloth.front_end.mending import kernel
 from taichi_cloth.kernels.loops import each, each_pack_moving
 from taichi_cloth.kernels.packs import set_slot_value, slot_number, slot_value
 from taichi_cloth.kernels.poses import (
@@ -49,7 +50,7 @@ def _carry_pack(spec: ti.template(), state: ti.template(), i):
                 set_slot_value(spec, state.v_low, slot, 0.0 * v)
 
 
-@ti.kernel
+@kernel
 def begin_launch(spec: ti.template(), state: ti.template(), done: ti.i32):
     """Do the same before the step that comes after `done` of them."""
     state.step[None] = done

@@ -19,6 +19,7 @@ the place of the other one; in its last bit whether they have passed through eac
 
 import taichi as ti
 
+from taichi_cloth.front_end.mending import kernel
 from taichi_cloth.kernels.collision_grid import (
     MOST_KEPT,
     slot_of,
@@ -169,7 +170,7 @@ def _take_place(spec: ti.template(), state: ti.template(), at):
     state.sorted[at, ti.static(2 * spec.dim + 1)] = slot_number(spec, state.w, slot)
 
 
-@ti.kernel
+@kernel
 def take_places(spec: ti.template(), state: ti.template()):
     """Fill what a place has of its particle, beside where that is: for lists from a checkpoint."""
     for at in range(state.n[None]):

@@ -16,6 +16,7 @@ import numpy as np
 import taichi as ti
 from taichi.lang import impl
 
+from taichi_cloth.front_end import mending
 from taichi_cloth.kernels.memory import TYPES, array_at
 
 
@@ -29,25 +30,22 @@ def lane_memory_type(lanes, real):
 def see(memory):
     """Let the kernel that is being compiled see packs through `memory`, its argument, or None.
 
-    Kept with this start of Taichi: a kernel of the next one may have a former one's address, and
-    would be taken for it.
+    Kept no longer than it is compiled: a later one may have its address, and would be taken for it.
     """
-    runtime = impl.get_runtime()
-    runtime.lane_memory = runtime.compiling_callable, memory
+    mending.notes()["lane_memory"] = impl.get_runtime().compiling_callable, memory
 
 
 def sees(field):
     """Whether the kernel that is being compiled sees a field through the memory of lanes."""
-    runtime = impl.get_runtime()
-    kernel, memory = getattr(runtime, "lane_memory", (None, None))
-    if memory is None or kernel is not runtime.compiling_callable:
+    kernel, memory = mending.notes().get("lane_memory", (None, None))
+    if memory is None or kernel is not impl.get_runtime().compiling_callable:
         return False
     return hasattr(field, "first_vector")
 
 
 def seen():
     """The memory of lanes of the kernel that is being compiled, as its argument."""
-    return impl.get_runtime().lane_memory[1]
+    return mending.notes()["lane_memory"][1]
 
 
 def rows_at(at, rows):

@@ -9,6 +9,8 @@ import ctypes
 import numpy as np
 import taichi as ti
 
+from taichi_cloth.front_end.mending import kernel
+
 
 class Memory:
     """Where the fields of some trees lie in memory; Taichi never moves a tree.
@@ -67,7 +69,7 @@ def _outermost(snode):
     return snode
 
 
-@ti.kernel
+@kernel
 def _find(memory: ti.template(), found: ti.types.ndarray()):
     """Find where the first number of each of memory.fields lies."""
     for k, field in ti.static(enumerate(memory.fields)):

@@ -17,6 +17,8 @@ used; the kind is the sum of 1, 2 and 4 for each of the sides between corners 0 
 
 import taichi as ti
 
+from taichi_cloth.front_end.mending import kernel
+
 STROKE = -1
 DIAGONAL = 0.7072  # from a pixel's middle to its corner
 COMMON = -1.0 / 64  # pixels that triangles overlap at sides that are not smooth
@@ -131,7 +133,7 @@ def _triangle(
                 _mix(frame, j, i, color, share)
 
 
-@ti.kernel
+@kernel
 def paint(frame: image, tall: ti.i32, wide: ti.i32, number: rows, what: indices):
     """Paint shapes, each upon those before it, tile by tile of `tall` x `wide` pixels."""
     h, w = frame.shape[0], frame.shape[1]

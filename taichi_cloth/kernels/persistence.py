@@ -16,6 +16,7 @@ from typing import Any
 
 import taichi as ti
 
+from taichi_cloth.front_end.mending import kernel
 from taichi_cloth.kernels.field_rows import copy_row, is_whole, kind_of, width_of
 from taichi_cloth.kernels.forces import device_fields, load
 from taichi_cloth.kernels.forces.contract import has
@@ -169,7 +170,7 @@ def groups_of(fields):
     return tuple((*of, g, tuple(rows)) for g, (of, rows) in enumerate(groups.items()))
 
 
-@ti.kernel
+@kernel
 def copy_kept(
     state: ti.template(),
     back: ti.template(),

@@ -18,6 +18,8 @@ taken from the pixels drawn, and emptied again; all others are what lies behind 
 
 import taichi as ti
 
+from taichi_cloth.front_end.mending import kernel
+
 FARTHEST = 0x7F000000  # the bits of a depth that nothing has
 SAME_DEPTH = 1.0 + 4e-6  # both stages compute a depth, which compilers may round in two ways
 TILE = (16, 64)  # rows and columns of a tile, in the pixels that are drawn
@@ -120,7 +122,7 @@ def _sight(lens: ti.template(), j, i):
     return ti.Vector([(i + 0.5 - lens[1]) / lens[0], (j + 0.5 - lens[2]) / lens[0], 1.0])
 
 
-@ti.kernel
+@kernel
 def triangles(
     stage: ti.template(),
     depth: image,
@@ -199,7 +201,7 @@ def triangles(
                                 ti.atomic_max(color[j, i], code)
 
 
-@ti.kernel
+@kernel
 def balls(
     stage: ti.template(),
     depth: image,
@@ -241,7 +243,7 @@ def balls(
                                 ti.atomic_max(color[j, i], _packed(own))
 
 
-@ti.kernel
+@kernel
 def lines(
     stage: ti.template(),
     depth: image,
@@ -291,7 +293,7 @@ def lines(
                             ti.atomic_max(color[j, i], _packed(_vector(rgb, s)))
 
 
-@ti.kernel
+@kernel
 def lay_floor(depth: image, color: image, lens: numbers, background: numbers, floor: numbers):
     """Fill a picture with what lies behind everything: a floor of tiles that fades out, or none.
 
@@ -335,7 +337,7 @@ def lay_floor(depth: image, color: image, lens: numbers, background: numbers, fl
                             depth[j, i] = _depth_bits(z)
 
 
-@ti.kernel
+@kernel
 def set_back(color: image, touched: image, under: image):
     """Have what is drawn so far lie behind what comes: take its colours (h, w) into `under`, and
     let whatever is drawn next be larger.
@@ -352,7 +354,7 @@ def set_back(color: image, touched: image, under: image):
                     color[j, i], under[j, i] = code, code
 
 
-@ti.kernel
+@kernel
 def see_through(color: image, touched: image, under: image):
     """Make what was drawn since `set_back` half transparent."""
     for tile in range(touched.shape[0] * touched.shape[1]):
@@ -438,7 +440,7 @@ def _resolved(samples: ti.template(), color: ti.template(), j, i, lit):
     return code
 
 
-@ti.kernel
+@kernel
 def lay(
     samples: ti.template(),
     depth: image,
@@ -466,7 +468,7 @@ def lay(
                 laid[j, i] = laid[j, i] | ti.static(OF_FLOOR)
 
 
-@ti.kernel
+@kernel
 def resolve(
     samples: ti.template(),
     depth: image,

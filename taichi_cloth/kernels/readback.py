@@ -6,6 +6,7 @@ Arrays have the device's precision, or are int32. n: particles; s: springs on th
 import numpy as np
 import taichi as ti
 
+from taichi_cloth.front_end.mending import kernel
 from taichi_cloth.kernels.grids import link_index
 from taichi_cloth.kernels.loops import is_short
 from taichi_cloth.kernels.packs import is_by_component, slot_number, slot_value
@@ -47,7 +48,7 @@ def work_in_memory(state):
     return work
 
 
-@ti.kernel
+@kernel
 def read_vectors(
     spec: ti.template(), state: ti.template(), field: ti.template(), out: ti.types.ndarray()
 ):
@@ -59,7 +60,7 @@ def read_vectors(
             out[i, axis] = vector[axis]
 
 
-@ti.kernel
+@kernel
 def take_work(state: ti.template(), out: ti.types.ndarray()):
     """Copy the counts of the solver's work (`state.WORK`) to `out` (3,), and set them to 0."""
     ti.loop_config(serialize=True)  # to wake another thread takes longer
@@ -68,7 +69,7 @@ def take_work(state: ti.template(), out: ti.types.ndarray()):
         state.work[i] = 0
 
 
-@ti.kernel
+@kernel
 def read_fracture(state: ti.template(), out: ti.types.ndarray()):
     """Copy status and break_step of the springs on the graph to `out` (s, 2)."""
     for s in range(out.shape[0]):
@@ -76,7 +77,7 @@ def read_fracture(state: ti.template(), out: ti.types.ndarray()):
         out[s, 1] = state.break_step[s]
 
 
-@ti.kernel
+@kernel
 def read_link_fracture(
     spec: ti.template(), state: ti.template(), links: ti.types.ndarray(), out: ti.types.ndarray()
 ):
@@ -90,14 +91,14 @@ def read_link_fracture(
         out[i, 1] = slot_number(spec, state.link_step, link)
 
 
-@ti.kernel
+@kernel
 def read_numbers(field: ti.template(), places: ti.types.ndarray(), out: ti.types.ndarray()):
     """Copy the numbers of half-springs out, (s,): those at `places` (s,) in a field of theirs."""
     for s in range(out.shape[0]):
         out[s] = field[places[s]]
 
 
-@ti.kernel
+@kernel
 def read_link_numbers(
     spec: ti.template(),
     state: ti.template(),
@@ -111,7 +112,7 @@ def read_link_numbers(
         out[i] = slot_number(spec, field, link)
 
 
-@ti.kernel
+@kernel
 def count_broken(spec: ti.template(), state: ti.template()) -> ti.i32:
     """The number of springs, on the graph and of grids, that are breaking or gone."""
     count = 0

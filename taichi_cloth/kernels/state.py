@@ -6,6 +6,7 @@ kernel is compiled again. Fields of features that a scene lacks are not allocate
 
 import taichi as ti
 
+from taichi_cloth.front_end import mending
 from taichi_cloth.kernels import clock
 from taichi_cloth.kernels.contact_fields import ContactFields
 from taichi_cloth.kernels.fields import Surface, placed
@@ -118,6 +119,7 @@ class State(ContactFields):
     particle_names.
     """
 
+    @mending.fields_without_stacks
     def __init__(self, spec, real, capacity, method):
         """Allocate the fields that a specialization and a method need.
 

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import taichi as ti
 
+from taichi_cloth.front_end.mending import kernel
 from taichi_cloth.kernels.forces import load
 from taichi_cloth.kernels.forces.contract import has
 from taichi_cloth.kernels.fracture import break_springs
@@ -107,7 +108,7 @@ def kernels_of(lanes, real):
     """
     memory_type = lane_memory_type(lanes, real)
 
-    @ti.kernel
+    @kernel
     def run_frames(
         method: ti.template(),
         spec: ti.template(),
@@ -136,7 +137,7 @@ def kernels_of(lanes, real):
                     frames_as_thread(method, spec, state, i // PIECE, done, frames, substeps)
         return state.passed[None]
 
-    @ti.kernel
+    @kernel
     def run_once(
         body: ti.template(), spec: ti.template(), state: ti.template(), memory: memory_type
     ) -> ti.i32:
@@ -165,7 +166,7 @@ def kernels_of(lanes, real):
     return Kernels(run_frames, run_once)
 
 
-@ti.kernel
+@kernel
 def begin_launch(begin: ti.template(), spec: ti.template(), state: ti.template(), done: ti.i32):
     """Compute what a method wants before its next step, with every loop run in parallel."""
     for _ in range(1):
@@ -173,52 +174,52 @@ def begin_launch(begin: ti.template(), spec: ti.template(), state: ti.template()
     begin(spec, state, 0)
 
 
-@ti.kernel
+@kernel
 def begin_step_launch(state: ti.template(), step: ti.i32):
     """Prepare the phases of step number `step`, of which the first comes next."""
     begin_step(state, step)
     state.phase[None] = 0
 
 
-@ti.kernel
+@kernel
 def phase_launch(phase: ti.template(), spec: ti.template(), state: ti.template()) -> ti.i32:
     """Run one phase of a step, with every loop run in parallel; return the phase that is next."""
     phase(spec, state, 0)
     return state.phase[None]
 
 
-@ti.kernel
+@kernel
 def end_step_launch(spec: ti.template(), state: ti.template()):
     """End a step after its phases."""
     end_step(spec, state, 0)
 
 
-@ti.kernel
+@kernel
 def method_launch(method: ti.template(), spec: ti.template(), state: ti.template(), step: ti.i32):
     """Run step number `step` up to its free end, with every loop run in parallel."""
     begin_step(state, step)
     method(spec, state, 0)
 
 
-@ti.kernel
+@kernel
 def act_launch(act: ti.template(), spec: ti.template(), state: ti.template()):
     """Do one of the acts that end a step."""
     act(spec, state, 0)
 
 
-@ti.kernel
+@kernel
 def find_pairs_launch(spec: ti.template(), state: ti.template()):
     """Find who may rest on whom."""
     find_pairs(spec, state, 0)
 
 
-@ti.kernel
+@kernel
 def iterate_launch(spec: ti.template(), state: ti.template(), done: ti.i32):
     """Do an iteration of resting pairs, after `done` of them."""
     iterate(spec, state, 0, done)
 
 
-@ti.kernel
+@kernel
 def substep_launch(method: ti.template(), spec: ti.template(), state: ti.template(), step: ti.i32):
     """Run step number `step`, with every loop run in parallel."""
     substep(method, spec, state, 0, step)

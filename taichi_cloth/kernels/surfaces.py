@@ -15,6 +15,7 @@ import functools
 
 import taichi as ti
 
+from taichi_cloth.front_end.mending import kernel
 from taichi_cloth.kernels.compensated import difference
 from taichi_cloth.kernels.fields import Surface
 from taichi_cloth.kernels.forces import has_tractions, load
@@ -315,7 +316,7 @@ def _change(spec: ti.template(), state: ti.template(), m):
 # --- to the host --------------------------------------------------------------------------------
 
 
-@ti.kernel
+@kernel
 def compute_normals(
     spec: ti.template(),
     state: ti.template(),

@@ -2,6 +2,7 @@
 
 import taichi as ti
 
+from taichi_cloth.front_end.mending import kernel
 from taichi_cloth.kernels.accelerations import plus_force, terms_on_particles
 from taichi_cloth.kernels.clock import time_at_end
 from taichi_cloth.kernels.compensated import difference
@@ -12,7 +13,7 @@ from taichi_cloth.kernels.springs import accumulate, force_between
 from taichi_cloth.kernels.surfaces import compute_tractions
 
 
-@ti.kernel
+@kernel
 def compute_forces(spec: ti.template(), state: ti.template(), step: ti.i32):
     """Compute what acts on each particle, fixed ones too, from positions and velocities.
 

@@ -7,6 +7,7 @@ compiled for them. Elsewhere they are arrays, and one kernel takes all of them t
 import numpy as np
 import taichi as ti
 
+from taichi_cloth.front_end.mending import kernel
 from taichi_cloth.kernels.field_rows import copy_row, is_whole, kind_of, width_of
 from taichi_cloth.kernels.memory import TYPES, shape_of
 from taichi_cloth.kernels.packs import is_by_component
@@ -113,7 +114,7 @@ class _Batch:
         )
 
 
-@ti.kernel
+@kernel
 def fill_rows(
     batch: ti.template(),
     counts: ti.types.ndarray(),

@@ -14,6 +14,8 @@ from taichi.lang import impl
 from taichi.lang.common_ops import TaichiOperations
 from taichi.lang.expr import Expr
 
+from taichi_cloth.front_end import mending
+
 
 class Vectors:
     """Vectors in lanes: components, for each a number for each lane, (lanes,).
@@ -74,8 +76,8 @@ class Vectors:
             mine._augassign(more, op)
 
 
-def _know_vectors():
-    """Let Taichi copy `Vectors` into variables, and leave arithmetic with them to them."""
+def _replacements():
+    """What lets Taichi copy `Vectors` into variables, and leave arithmetic with them to them."""
 
     def leaving(operate):
         @functools.wraps(operate)
@@ -86,14 +88,14 @@ def _know_vectors():
 
     def copying(init):
         @functools.wraps(init)
-        def initialized(value):
-            return value.copied() if isinstance(value, Vectors) else init(value)
+        def initialized(rhs):
+            return rhs.copied() if isinstance(rhs, Vectors) else init(rhs)
 
         return initialized
 
     for name in ("__add__", "__sub__", "__mul__", "__truediv__"):
-        setattr(TaichiOperations, name, leaving(getattr(TaichiOperations, name)))
-    impl.expr_init = copying(impl.expr_init)
+        yield TaichiOperations, name, leaving(getattr(TaichiOperations, name))
+    yield impl, "expr_init", copying(impl.expr_init)
 
 
-_know_vectors()
+mending.replace_too(_replacements)

@@ -7,6 +7,7 @@ Each frame begins with a checkpoint of the state, to which a frame that fails is
 
 import taichi as ti
 
+from taichi_cloth.front_end.mending import kernel
 from taichi_cloth.kernels.copies import keep, return_to
 from taichi_cloth.kernels.loops import each_pack, each_pack_moving
 from taichi_cloth.kernels.packs import (
@@ -108,19 +109,19 @@ def note_lost(spec: ti.template(), state: ti.template(), slot):
         ti.atomic_min(state.fault[None], slot_number(spec, state.particle, slot))
 
 
-@ti.kernel
+@kernel
 def checkpoint_launch(spec: ti.template(), state: ti.template()):
     """Run `checkpoint` in a launch by itself."""
     checkpoint(spec, state, 0)
 
 
-@ti.kernel
+@kernel
 def last_fault(state: ti.template()) -> ti.i32:
     """The lowest index of a particle at fault in the last frame, or NO_FAULT."""
     return state.fault[None]
 
 
-@ti.kernel
+@kernel
 def restore(spec: ti.template(), state: ti.template()):
     """Undo a frame: set the state back to that of the last checkpoint."""
     each_pack_moving(spec, state, 0, _restore_pack)

@@ -11,6 +11,7 @@ gains GAIN of its velocity in a frame. In other units that is what makes the str
 
 import taichi as ti
 
+from taichi_cloth.front_end.mending import kernel
 from taichi_cloth.kernels import laws
 from taichi_cloth.kernels.forces.contract import (
     COUNT,
@@ -57,7 +58,7 @@ def acts(state: ti.template()):
     return state.pushing[None] == 1
 
 
-@ti.kernel
+@kernel
 def compute_push(spec: ti.template(), state: ti.template(), numbers: ti.types.ndarray()):
     """Compute state.push, the pointer's force on each particle, from where the particles are now.
 
@@ -93,13 +94,13 @@ def _push_pack(spec: ti.template(), state: ti.template(), i):
     write(spec, state.push, i, push)
 
 
-@ti.kernel
+@kernel
 def clear_push(state: ti.template()):
     """End the pointer's force."""
     state.pushing[None] = 0
 
 
-@ti.kernel
+@kernel
 def hold_push(spec: ti.template(), state: ti.template(), forces: ti.types.ndarray()):
     """Store a force for each particle in state.push, in the place of the pointer's.
 

@@ -8,6 +8,7 @@ is read of it while nothing is.
 import numpy as np
 import taichi as ti
 
+from taichi_cloth.front_end.mending import kernel
 from taichi_cloth.kernels.forces.contract import (
     COUNT,
     FORCE,
@@ -54,7 +55,7 @@ def damping(spec: ti.template(), state: ti.template(), number: ti.template(), i)
     return number(spec, state.grab_c, i)
 
 
-@ti.kernel
+@kernel
 def hold(
     spec: ti.template(),
     state: ti.template(),
@@ -80,7 +81,7 @@ def hold(
         set_slot_number(spec, state.w, slot, rows[m, spec.dim + 2])
 
 
-@ti.kernel
+@kernel
 def move_hold(spec: ti.template(), state: ti.template(), place: ti.types.ndarray()):
     """Take what is held to another place (dim,)."""
     for axis in range(spec.dim):
