@@ -151,7 +151,7 @@ def test_every_tool_replays_to_the_bit_and_hits_the_same_elsewhere(made, tmp_pat
     assert log.header["tools"] is True
     events = [event for of_frame in log.by_frame.values() for event in of_frame]
     done = {event.kind for event in events}
-    expected = {"grab", "drag", "let_go", "cut", "pin", "unpin", "link", "ball", "tool"}
+    expected = {"grab", "drag", "let_go", "cut", "pin", "unpin", "link", "chain", "ball", "tool"}
     assert expected <= done
     assert any(picture.pointer and picture.pointer.ring for picture in view.pictures)
 
@@ -500,6 +500,25 @@ def test_drags_on_empty_space_move_the_camera_and_z_goes_back():
     controls.apply(Event("press", pos=(30.0, 30.0), button="right"), replayed=True)
     controls.apply(Event("move", pos=(90.0, 30.0)), replayed=True)
     assert camera.pose == poses[0]
+
+
+def test_a_link_of_a_chain_is_as_long_as_it_was_clicked_and_does_not_break(made, tmp_path):
+    """In `cloth`, whose own springs are 25 long and break at 5; also to one that is there."""
+    sim, path = made(), tmp_path / "log.jsonl"
+    x, y = spot(sim, 47)
+    clicks = click((x + 10, y + 140)), click((x - 140, y + 140)), click((x, y))
+    turns = [[], key("j"), *clicks, *[[]] * 30]
+    (place, *_), _ = recorded(path, sim, turns)
+    count = len(CLOTH.springs)
+    added = sim.storage.scene.springs.select(np.arange(count, count + 2))
+    np.testing.assert_array_equal(added.between, [[48, 49], [49, 47]])
+    assert added.rest_length == pytest.approx([150, np.hypot(140, 140)], rel=0.05)
+    assert np.isinf(added.break_force).all() and sim.springs_alive()[count:].all()
+    assert np.ptp(place[48:, 0]) == pytest.approx(150, rel=0.1)
+    again = made()
+    app.run(again, NullView(CLOTH.world, WINDOW), frames=len(turns) + 6, replay=load_events(path))
+    for a, b in zip(end(again), end(sim), strict=True):
+        assert a.tobytes() == b.tobytes()
 
 
 @pytest.mark.parametrize("name", ["curtain", "pull"])

@@ -1,7 +1,11 @@
-"""Tie a chain: each click puts a particle that is tied to the one before, or takes one there is."""
+"""Tie a chain: each click puts a particle that is tied to the one before, or takes one there is.
+
+A link is as long as it was clicked, and never breaks; it can be cut.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -59,16 +63,20 @@ def _press(hand: Hand, memory: _Memory, event: Event) -> Events:
         if begins or hit == before:
             hand.notice = f"the chain goes on from particle {hit}"
             return None
-        return [ToolEvent("tie", {"particles": [before, hit]})]
+        return [_chained(before, hit)]
     through = None if begins else hand.seen.positions()[before]
     place = hand.put(event.pos, usual_radius(sim), through)
     if not np.all((place >= world.low) & (place <= world.high)):
         hand.notice = OUTSIDE
         return None
     memory.newest = sim.particle_count
-    tied = [] if begins else [before]
     fixed = event.button == "right"
-    return [ToolEvent("link", {"pos": place.tolist(), "fixed": fixed, "tied_to": tied})]
+    put = ToolEvent("link", {"pos": place.tolist(), "fixed": fixed, "tied_to": []})
+    return [put] if begins else [put, _chained(before, memory.newest)]
+
+
+def _chained(i: int, j: int) -> ToolEvent:
+    return ToolEvent("chain", {"particles": [i, j]})
 
 
 def _draw(hand: Hand, memory: _Memory) -> Marks | None:
@@ -86,6 +94,10 @@ def _link(sim: Simulation, values: Mapping[str, Any]) -> None:
     color = FIXED_COLOR if fixed else COLOR_CYCLE[sim.particle_count % len(COLOR_CYCLE)]
     tied_to = tied[0] if tied else None
     sim.spawn(values["pos"], fixed=fixed, color=color, tied_to=tied_to, **usual(sim))
+
+
+def _chain(sim: Simulation, values: Mapping[str, Any]) -> None:
+    sim.add_spring(*values["particles"], break_force=math.inf)
 
 
 def _tie(sim: Simulation, values: Mapping[str, Any]) -> None:
@@ -107,6 +119,8 @@ TOOL = Tool(
         LoggedEvent(
             "link", {"pos": numbers(), "fixed": flag, "tied_to": so_many_indices(0, 1)}, _link
         ),
+        LoggedEvent("chain", {"particles": so_many_indices(2, 2)}, _chain),
+        # Logs of old have links that break as the scene's own, and `tied_to` in a link.
         LoggedEvent("tie", {"particles": so_many_indices(2, 2)}, _tie),
     ),
 )
