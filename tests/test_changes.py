@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from inside import spec_of, state_of
 from selection import as_thorough
+from taichi.lang.kernel_impl import Kernel
 
 import taichi_cloth as tc
 from taichi_cloth.errors import InputError
@@ -575,8 +576,7 @@ def test_clicks_find_room_and_kernels_ready():
     first ones need.
     """
     sim = Simulation(build("box", radius=2.0), execution="serial")
-    for _ in range(10):
-        sim.prepare_click()
+    sim.prepare_clicks()
     outside = r"^spawn: position .* is outside the world"  # and no particle 0, which is another
     for wrong, message in (((1e4, 0.0, 0.0), outside), ((1.0, 2.0), "3 numbers")):
         with pytest.raises(InputError, match=message):
@@ -594,6 +594,35 @@ def test_clicks_find_room_and_kernels_ready():
     np.testing.assert_array_equal(sim.positions(), x)
     assert state_of(sim) is state and spec_of(sim) == spec
     assert _compiled() == kernels
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_no_motion_of_the_pointer_waits_for_a_compiler(dim):
+    """Nor a cut, or a hold: what they need is compiled with the first frame's kernels."""
+    scene = cloth() if dim == 2 else build("flag", columns=6)
+    sim = Simulation(scene.with_world(mouse="blow", tools=True), execution="serial")
+    sim.prepare_clicks()
+    x = sim.positions()
+    np.testing.assert_array_equal(x, scene.particles.position)
+    sim.advance(1)
+    kernels, to = _all_compiled(), x[-1]
+    if dim == 2:
+        sim.blow(to, [1.0, 0.0])
+    else:
+        sim.blow_ray(to, [0.0, 0.0, 1.0], [0.01, 0.0, 0.0], 0.2)
+    sim.advance(2)
+    sim.grab([len(x) - 1], to)
+    sim.drag(to)
+    sim.advance(1)
+    sim.let_go()
+    sim.cut([0])
+    assert not _all_compiled() - kernels
+
+
+def _all_compiled():
+    """The kernels of any kind that are compiled: names, and for what."""
+    kernels = [one for one in gc.get_objects() if type(one) is Kernel]
+    return {(one.func.__name__, key) for one in kernels for key in one.compiled_kernels}
 
 
 def _compiled():

@@ -74,9 +74,8 @@ class FakeSimulation:
     def let_go(self):
         self.calls.append(("let_go",))
 
-    def prepare_click(self):
+    def prepare_clicks(self):
         self.prepared += 1
-        return False
 
     time = property(lambda self: self.frame * self.dt)
     particle_count = property(lambda self: len(self.x))
@@ -485,6 +484,16 @@ def test_pause_step_and_reset():
     assert summary.frames == 4 and sim.frame == 2
     said = [words(picture).splitlines()[1].split()[0] for picture in view.pictures[:4]]
     assert said == ["starting:", "playing", "paused", "paused"] and "fake, " in view.title
+
+
+@pytest.mark.parametrize("paused", [False, True])
+def test_what_the_pointer_needs_is_compiled_while_the_window_says_that_it_starts(paused):
+    sim, view, said = simulation("blow"), Script([], [], []), []
+    sim.prepare_clicks = lambda: said.append(words(view.pictures[-1]))
+    app.run(sim, view, device="test", paused=paused)
+    assert "starting: compiling takes a moment, once" in said[0]
+    after = ["paused" if paused else "playing" in words(picture) for picture in view.pictures[1:]]
+    assert after and all(after)
 
 
 def test_help_hide_and_quit():
@@ -1421,8 +1430,7 @@ def test_every_tool_acts_where_the_pointer_is(window):
     for x in (200, 250):
         w.point(x, 120)
         w.do("click", 1)
-    chain = wait_for("link", 2)
-    assert [link["tied_to"] for link in chain] == [[], [2]]
+    assert wait_for("chain") == [{"particles": [2, 3]}] and len(said("link")) == 2
     take_up("t", "throw")
     w.point(320, 150)
     w.do("click", 1)

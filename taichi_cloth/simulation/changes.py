@@ -123,7 +123,7 @@ class Changes(Part):
         """
         if self.scene.world.tools:
             return
-        self.scene = self.scene.with_world(tools=True)
+        self.scene, self._ready = self.scene.with_world(tools=True), False
         now = self.storage.snapshot()
         self._edit(now, replace(now, scene=now.scene.with_world(tools=True)))
 
@@ -147,7 +147,7 @@ class Changes(Part):
         changes: dict[str, Any] = {"collisions": True, "tools": True}
         if world.up and not world.collisions:
             changes["contact"] = "resting"
-        self.scene = self.scene.with_world(**changes)
+        self.scene, self._ready = self.scene.with_world(**changes), False
         now = self.storage.snapshot()
         self._edit(now, replace(now, scene=now.scene.with_world(**changes)), topology="graph")
 

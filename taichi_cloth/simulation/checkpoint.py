@@ -162,7 +162,6 @@ class Checkpoints(Part):
                 setattr(self, name, value)
             raise
         self.topology = self.storage.topology
-        self._unprepared = [] if self._unprepared else self._unprepared
 
     def _refuse_others(self, checkpoint: Any) -> None:
         if not isinstance(checkpoint, Checkpoint):

@@ -42,7 +42,7 @@ class Engine(Part):
     # All that is the method's, or was chosen for it; a checkpoint goes back to it.
     ENGINE = (
         *("method", "_module", "claims", "_launcher", "_storage", "execution", "topology"),
-        *("_preferred", "_requested", "_watch", "held_up", "changes_over", "_unprepared"),
+        *("_preferred", "_requested", "_watch", "held_up", "changes_over", "_ready"),
     )
 
     @act
@@ -141,8 +141,8 @@ class Engine(Part):
         lanes = min(lanes, module.most_lanes(now.scene.world.dim) or lanes)
         self._storage = Storage(module, lanes, self._launcher, now, accounts)
         self.execution = self.topology = ""  # `_store` chooses them
-        self._watch = self.held_up = self._unprepared = None
-        self.changes_over = False
+        self._watch = self.held_up = None
+        self.changes_over = self._ready = False
         if topology not in self.storage.topologies():
             topology = "graph"
         self._requested = topology, self._requested[1]

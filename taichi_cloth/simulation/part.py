@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -32,7 +31,7 @@ class Part(ABC):
     _requested: topology and execution as asked for; _preferred: the topology of the next load.
     _watch: what times launches. _engines: of methods that the run had, by name (`Engine.ENGINE`).
     began: method, dt, substeps and solver settings that the run of its scene began with.
-    _unprepared: what only a first click needs compiled; None: nobody has asked.
+    _ready: whether what only the pointer needs is compiled.
     _since: frame, time and steps when the step last changed.
     _work: counts of the solver's work (`kernels.state.WORK`), evaluations of forces since the
     method last changed; _counted: how many of these, and steps, there were then; _first: the steps
@@ -66,7 +65,7 @@ class Part(ABC):
     _watch: autotune.Watch | None
     _engines: dict[str, dict[str, Any]]
     began: dict[str, Any]
-    _unprepared: list[Callable[[], None]] | None
+    _ready: bool
     _since: tuple[int, float, int]
     _work: np.ndarray
     _counted: tuple[int, int]

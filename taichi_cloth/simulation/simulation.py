@@ -142,7 +142,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         self.topology = self.execution = self._preferred = ""  # until the first `reset` has chosen
         self._watch = None
         self.held_up, self.changes_over, self.aside = None, False, ""
-        self._unprepared = None  # until a window asks
+        self._ready = False  # for clicks, until a window asks
         self._note_settings()
         self.frame, self._counted, self._first = 0, (0, 0), 0
         self._since = 0, 0.0, 0
@@ -404,7 +404,6 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
 
     def _store(self, snapshot: Snapshot) -> None:
         """Put a state on the device; the first time, choose how it is run."""
-        self._unprepared = [] if self._unprepared else self._unprepared
         before = self.storage.state if self.storage.topology else None
         self._take_unsettled()
         self.storage.take(snapshot)
@@ -504,15 +503,14 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
             self._store(grown)
         return self.particle_count - 1
 
-    def prepare_click(self) -> None:
-        """Compile one of the kernels that only the first clicks need, if any is left.
+    def prepare_clicks(self) -> None:
+        """Compile what the pointer's first motion, click or step back needs, if that is not done.
 
-        A window calls it while it waits for its next frame. It changes nothing of the state.
+        A window calls it before a frame that compiles. It changes nothing of the state.
         """
-        if self._unprepared is None:
-            self._unprepared = self.storage.unprepared()
-        if self._unprepared:
-            self._unprepared.pop()()
+        if not self._ready:
+            self._ready = True
+            self.storage.prepare_clicks()
 
     # --- changes while it runs: see `Changes` ------------------------------------------------
 

@@ -99,7 +99,8 @@ class Loop:
         if scenes.said:
             self._controls.tell(scenes.said)
         if self.view.visible:
-            self._show_now()
+            self._say_that_it_compiles()
+            self._prepare_clicks()
 
     @property
     def ended(self) -> bool:
@@ -133,10 +134,6 @@ class Loop:
         if advanced:
             self._a_frame = simulate / max(self.state.frames - before, 1)
             self._note_cost(self._a_frame, draw)
-        if seen:
-            self.sim.prepare_click()
-            if self._request.beside:
-                self._request.beside.sim.prepare_click()
         if advanced and self._request.budget:  # whose frame is all of this but the wait
             rest = time.perf_counter() - began - simulate
             self._request.budget.after_frame(simulate, rest)
@@ -198,6 +195,8 @@ class Loop:
         if request.budget:
             request.budget.before_frame(self._give)
         self._controls.before_frame(replayed=state.replaying)
+        if self.view.visible:
+            self._prepare_clicks()
         if self._shown.chrome.is_open("meters"):
             self._shown.meters.before_frame()
         begin, done = time.perf_counter(), self.sim.frame
@@ -380,6 +379,11 @@ class Loop:
         self._show_now()
         self.state.compiling = False
         self._shown.meter.compiles()
+
+    def _prepare_clicks(self) -> None:
+        """Compile what the pointer's first motion needs, while the window says why it waits."""
+        for sim in [self.sim, *([self._request.beside.sim] if self._request.beside else [])]:
+            sim.prepare_clicks()
 
     def _note(self, event: LogEvent) -> None:
         if self._travel:

@@ -66,11 +66,11 @@ class RunState:
         if recording is not None:
             # Seen beside any notice, however long that is.
             return Word(recording + (", paused" if self.paused else ""), style.RECORDING, -1)
+        if self.frames == 0 and (self.compiling or not self.paused):
+            return Word("starting: compiling takes a moment, once", style.WARN)
         if self.compiling:
             return Word("compiling, the window waits", style.WARN)
         if self.paused:
             return Word("paused", style.WARN)
-        if self.frames == 0:
-            return Word("starting: compiling takes a moment, once", style.WARN)
         state = "replaying" if self.replaying else "playing"
         return Word(", ".join(filter(None, (state, self.pace.words))), style.GOOD)

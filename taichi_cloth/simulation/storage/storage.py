@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -179,42 +177,30 @@ class Storage(Loading, Download, Handling):
 
     # --- what only the first click needs ---------------------------------------------------
 
-    def unprepared(self) -> list[Callable[[], None]]:
-        """What compiles the kernels that only a first step back, or a first click, needs.
+    def prepare_clicks(self) -> None:
+        """Compile the kernels that only the pointer's first motion, click or step back needs.
 
-        Called between frames, they change nothing of the state.
+        Called between frames, it changes nothing of the state.
         """
-        found: list[Callable[[], None]] = [self._prepare_return]
-        if "blow" in self.specialization.terms:
-            found.append(self._prepare_end_of_push)
-        if not self.scene.world.takes_clicks:
-            return found
         n, dim, state = len(self.scene.particles), self.scene.world.dim, self.state
+        self._prepare_return()
+        if "blow" in self.specialization.terms and not self._held:
+            self._launch(blow.compute_push, np.zeros(3 * dim + 2, self.real))
+            self._launcher.launch(blow.clear_push, state)
+        if not self.scene.world.takes_clicks:
+            return
         if not readback.is_by_host(state, n):
-            row = np.zeros((1, dim), self.real)
             for field in (state.x, state.v):
-                found.append(partial(self._launch, readback.read_vectors, field, row))
+                self._launch(readback.read_vectors, field, np.zeros((1, dim), self.real))
         if self.scene.world.tools:
-            found.append(self._prepare_edit)
-            nobody = np.zeros(0, np.int32), np.zeros((0, 2), np.int32)
-            found.append(partial(self._launch_cut, *nobody, 0))
+            self.snapshot()
+            self._launch_cut(np.zeros(0, np.int32), np.zeros((0, 2), np.int32), 0)
             if self.scene.world.held is None:
-                found += [partial(self._launch_hold, Hold.nobody(dim), np.ones(n), 0)]
-                found += [partial(self._launch, grab.move_hold, np.zeros(dim, self.real))]
+                self._launch_hold(Hold.nobody(dim), np.ones(n), 0)
+                self._launch(grab.move_hold, np.zeros(dim, self.real))
         ties = self._now.placement.graph_springs
         if self.specialization.fracture and len(ties) == 0 and not readback.is_by_host(state, 1):
-            none = np.zeros((1, 2), np.int32)
-            found.append(partial(self._launcher.launch, readback.read_fracture, state, none))
-        return found
-
-    def _prepare_end_of_push(self) -> None:
-        """Compile what ends a push, unless one goes on: then it is compiled soon anyway."""
-        if not self._held:
-            self._launcher.launch(blow.clear_push, self.state)
-
-    def _prepare_edit(self) -> None:
-        """Compile what an edit reads of the state."""
-        self.snapshot()
+            self._launcher.launch(readback.read_fracture, state, np.zeros((1, 2), np.int32))
 
     def _prepare_return(self) -> None:
         """Compile what goes back to a checkpoint, by going back to the present."""
