@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from lacking import needs_vulkan
 
+from taichi_cloth import load_scene
 from taichi_cloth.errors import InputError
 from taichi_cloth.files.events import Recorder
 from taichi_cloth.scene import library
@@ -16,8 +17,10 @@ from taichi_cloth.scene.cloth import grid_triangles
 from taichi_cloth.scene.model import Particles, Scene, World
 from taichi_cloth.scene.palette import FIXED_COLOR
 from taichi_cloth.settings.options import shown_parts
+from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.ui import app, interaction, shown, style, surfaces
 from taichi_cloth.ui.camera import Camera
+from taichi_cloth.ui.depiction import Depiction
 from taichi_cloth.ui.framing import camera_of, window_of
 from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.solids import creased
@@ -112,6 +115,51 @@ def test_each_side_of_a_sheet_has_its_own_colour():
     np.testing.assert_allclose(hue(back), hue(of_back.astype(float)), atol=0.02)
 
 
+def test_a_back_is_no_front_in_the_shade():
+    """Whatever its colour: the hues of both differ by far more than light changes them."""
+    color = np.random.default_rng(3).integers(0, 256, (5000, 3)).astype(np.uint8)
+    color = np.concatenate([color, np.array([style.BACKS[0], (60, 60, 60), (235, 235, 235)])])
+    color = color[color.sum(axis=1) > 60]
+    front, back = color.astype(float), surfaces.back_of(color).astype(float)
+    apart = [np.abs(hue(a) - hue(b)).max() for a, b in zip(front, back, strict=True)]
+    assert min(apart) > 0.03 and np.median(apart) > 0.1
+
+
+@pytest.mark.parametrize("up", ["y", ""])
+@pytest.mark.parametrize("way", [{}, {"across": [-1.0, 0.0, 0.0]}])
+def test_a_cloth_of_a_file_shows_its_own_colour_to_the_camera_from_the_start(tmp_path, up, way):
+    """Also one that was given the other way round; its triangles keep their corners."""
+    file = tmp_path / "plain.toml"
+    place = [1.5 if way else 0.5, 1.5 if up else 0.5, 0.0]
+    file.write_text(
+        f'[world]\nsize = [2.0, 2.0, 2.0]\nup = "{up or "none"}"\n'.replace('up = "none"\n', "")
+        + f"gravity = [0.0, {-9.81 if up else 9.81}, 0.0]\n"
+        "[particle]\nradius = 0.01\n"
+        f"[[cloths]]\norigin = {place}\ncolumns = 6\nrows = 6\nspacing = 0.2\n"
+        f"color = {list(RED)}\n" + "".join(f"{key} = {value}\n" for key, value in way.items())
+    )
+    scene = load_scene(file)
+    sim, view = Simulation(scene), GuiView(scene.world, (300, 300), "", visible=False)
+    view.camera = camera_of(scene)
+    picture = Depiction(sim).picture()
+    view.draw(picture)
+    drawn = view.grab().reshape(-1, 3).astype(int)
+    red, lining = (drawn[:, 0] > 3 * drawn[:, 1]).sum(), (drawn[:, 0] > 100).sum()
+    assert red > 0.02 * len(drawn) and lining <= red
+    np.testing.assert_array_equal(sim.drawn_triangles(), grid_triangles(6, 6))
+    normal = Topology.build(picture.triangles).face_normals(picture.position)
+    assert (normal @ (picture.position.mean(axis=0) - view.camera.eye) < 0).all()
+    corners = picture.normals[picture.triangles[:, 0]]
+    assert (np.einsum("ij,ij->i", corners, normal) > 0).all()
+
+
+def test_closed_bodies_are_drawn_as_they_are():
+    vertex, triangles = icosphere(2)
+    both = np.concatenate([triangles, triangles[:, ::-1] + len(vertex)])
+    place = np.concatenate([vertex, vertex + [3.0, 0.0, 0.0]])
+    assert not shown.turned_away(np.array([0.0, 1.0, 9.0]), place, both).any()
+
+
 def test_a_sheet_is_as_bright_as_the_light_says():
     """Lambert's law, turned about the vertical axis: brightest towards the light."""
     picture, brightness = picture_of(sheet()), {}
@@ -130,7 +178,8 @@ def test_the_nearer_one_hides_the_farther_one():
         seen = middle(pixels(picture_of(*order), camera()))
         assert seen[0] > 2 * seen[2]
         seen = middle(pixels(picture_of(*order), camera(rot_y=180)))
-        assert seen[2] > 1.2 * seen[0]
+        of_back = surfaces.back_of(np.array([BLUE], np.uint8))[0]
+        np.testing.assert_allclose(hue(seen), hue(of_back.astype(float)), atol=0.02)
     ball = ((1.0, 1.0, 0.0), 0.2, (20, 220, 20))
     hidden = middle(pixels(picture_of(near, balls=[ball]), camera()))
     assert hidden[0] > 2 * hidden[1]

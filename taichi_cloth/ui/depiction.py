@@ -14,6 +14,7 @@ from taichi_cloth.ui.between import Between
 from taichi_cloth.ui.chrome.errors import Errors
 from taichi_cloth.ui.chrome.messages import Meanings
 from taichi_cloth.ui.drawing import Cached
+from taichi_cloth.ui.framing import camera_of
 from taichi_cloth.ui.ghosts import Ghosts
 from taichi_cloth.ui.solids import Solids
 from taichi_cloth.ui.strained import Strained
@@ -46,6 +47,7 @@ class Depiction:
         self._discs = _largest_disc(sim.scene), largest
         self._chosen = Cached(shown.chosen)
         self._surface_colors = Cached(shown.surface_colors)
+        self._turned, self._turned_over = Cached(self._find_turned), Cached(shown.turned_over)
         self._solids = Solids()
         self.between = Between()
         self._errors, self._ghosts = errors, Ghosts()
@@ -82,6 +84,11 @@ class Depiction:
         normals = None
         if len(triangles) and sim.scene.world.dim == 3:
             normals = sim.drawn_normals() if part >= 1 else between.normals(sim, part)
+            turned = self._turned(sim.storage.scene.triangles)
+            if turned.any():
+                triangles, normals = self._turned_over(triangles, turned), normals.copy()
+                some = normals[: len(turned)]
+                np.negative(some, out=some, where=turned[:, None])
         made = Picture(
             position=position,
             radius=self._radius(stored.radius, *self._discs),
@@ -99,6 +106,14 @@ class Depiction:
         if reading is not None and reading.away is not None:
             made = replace(made, ghost=self._ghosts.of(made, reading.away, reading.torn))
         return made if marks is None else _with_marks(made, marks)
+
+    def _find_turned(self, triangles: np.ndarray) -> np.ndarray:
+        """Which particles are in surfaces that begin with their back to the camera, (n,) bool.
+
+        They are drawn the other way round, so that one sees the colour that was asked for.
+        """
+        camera, position = camera_of(self._sim.scene), self._sim.storage.scene.particles.position
+        return shown.turned_away(camera.eye, position, triangles) if camera else np.zeros(0, bool)
 
     def legends(self) -> list[Meanings]:
         """What the colours mean, where they mean anything."""

@@ -17,6 +17,7 @@ CHOICES = (
     frozenset({"springs", "particles"}),
 )
 NONE = np.zeros((0, 3), np.int64)
+TURNED = 0.5  # share by which more of a surface is seen from behind than from before
 
 
 def default_for(scene: Scene) -> frozenset[str]:
@@ -69,3 +70,35 @@ def chosen(
         segments = segments[loose] if surface else segments[:0]
     as_spheres = None if "particles" in parts else ~in_surface if surface else in_surface & False
     return seen, segments, as_spheres
+
+
+def turned_away(eye: np.ndarray, position: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Which particles are in surfaces that turn their back to an eye (3,), (n,) bool.
+
+    Surfaces are what triangles join. More than half of what is seen of one must be its back: closed
+    bodies, of which half is seen from either side, keep theirs.
+
+    position: (n, 3). triangles: (m, 3) int.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    count = len(position)
+    corner = position[triangles]
+    ends = np.repeat(triangles[:, :1], 2, axis=1), triangles[:, 1:]
+    joined = coo_array((np.ones(ends[0].size), tuple(end.ravel() for end in ends)), (count, count))
+    surface = connected_components(joined, directed=False)[1]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    way = corner.mean(axis=1) - eye
+    away = np.einsum("ij,ij->i", normal, way) / np.linalg.norm(way, axis=1) ** 3
+    of = surface[triangles[:, 0]]
+    whole = np.bincount(of, np.abs(away), count)
+    turned: np.ndarray = (np.bincount(of, away, count) > TURNED * whole)[surface]
+    return turned
+
+
+def turned_over(triangles: np.ndarray, turned: np.ndarray) -> np.ndarray:
+    """The triangles (m, 3) with those the other way round whose corners are `turned`, (n,) bool."""
+    over = triangles.copy()
+    over[turned[triangles[:, 0]]] = triangles[turned[triangles[:, 0]]][:, ::-1]
+    return over

@@ -32,7 +32,9 @@ FILL /= np.linalg.norm(FILL)
 FILL_STRENGTH = 0.22
 LIGHTS = ((LIGHT, 1 - AMBIENT), (FILL, FILL_STRENGTH))  # of surfaces: direction, strength
 
-BACK, BACK_SHARE = (226, 214, 190), 0.42  # a surface's back: so much of the front's colour in this
+# A surface's back is a lining in the first of these colours; in the second, where its front has
+# about the same hue and could be a back in the shade. BACK_SHARE: the part that is the front's.
+BACKS, BACK_SHARE, SAME_HUE = ((190, 166, 122), (112, 140, 180)), 0.18, 0.06
 SOLID = (168, 176, 190)  # of obstacles
 PLANE = (104, 112, 130)  # of endless ones
 TILES = ((52, 57, 71), (42, 46, 59))  # of the floor

@@ -94,7 +94,10 @@ def brightness(normal: np.ndarray) -> np.ndarray:
 
 def back_of(color: np.ndarray) -> np.ndarray:
     """The colours (n, 3) uint8 that the back of a surface has whose front has these."""
-    mixed = style.BACK_SHARE * color + (1 - style.BACK_SHARE) * np.array(style.BACK)
+    usual, other = (np.array(lining, np.float64) for lining in style.BACKS)
+    hue = color / np.maximum(color.sum(axis=1, keepdims=True), 1)
+    like = np.abs(hue - usual / usual.sum()).max(axis=1, keepdims=True) < style.SAME_HUE
+    mixed = style.BACK_SHARE * color + (1 - style.BACK_SHARE) * np.where(like, other, usual)
     return np.asarray(mixed, np.uint8)
 
 

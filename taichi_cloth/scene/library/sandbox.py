@@ -1,4 +1,8 @@
-"""The seed's box in 2-D: discs bounce in it, and clicks add discs and chains."""
+"""The seed's box in 2-D: discs bounce in it, and clicks add discs and chains.
+
+Discs rest on each other. By the seed's rule, ``--set 'world.contact="original"'``, whose impulses
+change velocities alone, they come to lie in each other.
+"""
 
 from __future__ import annotations
 
@@ -24,6 +28,7 @@ def scene(
         gravity=(0.0, 0.1),
         walls=("left", "right", "top", "bottom"),
         collisions=True,
+        contact="resting",
         mouse="spawn",
     )
     return Scene(
