@@ -32,6 +32,12 @@ class RunFailure(RuntimeError):
     exit_status = 3
 
 
+class BudgetMissed(RunFailure):
+    """A run was made, and did not hold what it was to (exit status 1). The message is one line."""
+
+    exit_status = 1
+
+
 class SimulationFailure(RunFailure):
     """The simulation left its bounds: who, when, why, and what to change.
 

@@ -59,7 +59,7 @@ def compared(source, count, seed, meter):
     starts = [without_mouse(s) for s in starts_of(given, count, seed, setting.substeps)]
     windows = windows_of(starts, replace(setting, precision="f64"), [FRAMES] * len(starts))
     for scene, window in zip(starts, windows, strict=True):
-        verdict, _ = meter._ask(window)
+        verdict, _ = meter._ask(window, math.inf)
         verdict = meter._ask_parts(()) if verdict.known else verdict
         size = MILLIONTH * verdict.scale
         substeps = reference.coarsest(scene, scene.world.dt, 2)

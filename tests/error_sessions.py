@@ -11,6 +11,7 @@ A row of the table for each scene and setting; a line on stderr for each session
 
 import argparse
 import json
+import math
 import sys
 import tempfile
 from pathlib import Path
@@ -87,7 +88,7 @@ def compared(source, method, substeps, count, seed, judge, folder):
                 quiet=True)  # fmt: skip
         kept.close()
         (window,) = kept.windows
-        verdict, _ = judge._ask(window)
+        verdict, _ = judge._ask(window, math.inf)
         given = {"events": str(log), "substeps": FINER * substeps, "frames": FRAMES}
         found, _ = replays.run(source, CompareOptions.from_given(given), "5%")
         yield found.error, verdict.relative, not verdict.trouble

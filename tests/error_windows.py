@@ -12,6 +12,7 @@ A row of the table for each scene and setting; a line on stderr for each window.
 """
 
 import argparse
+import math
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -142,7 +143,7 @@ def _beside(name, results, starts, chosen, meter):
                 said = f"trade compares {window.frames} frames, of which the meter says nothing"
                 print(f"{name}: {setting.method}: {said}", file=sys.stderr, flush=True)
                 continue
-            verdict, _ = meter._ask(window)
+            verdict, _ = meter._ask(window, math.inf)
             judged = verdict.judged or window.frames
             true = error_over(result, setting, judged)
             yield setting, true, verdict.relative, not verdict.trouble

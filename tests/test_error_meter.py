@@ -411,7 +411,7 @@ def test_what_is_told_while_the_run_becomes_another_is_not_of_that(chain, act, m
     class Answers(Here):
         _judge = ErrorMeter._judge
 
-        def _ask(self, window):
+        def _ask(self, window, within):
             asked.set()
             assert may_answer.wait(60)
             return chain.verdict, ghost
@@ -484,7 +484,7 @@ def test_a_window_is_made_again_by_other_methods(chain, judge, tmp_path):
     n = verdict.own_substeps
     trials = [
         Trial(verdict.method, 2 * n, n, within=1.0),
-        Trial("rk4", n, n),
+        Trial("rk4", n, n, within=0.0),
         Trial("explicit_euler", 8, 1, within=1e9),
     ]
     others = Verdict(**judge.part(60.0, trials=[asdict(trial) for trial in trials])).others
@@ -558,7 +558,7 @@ def test_one_that_rests_leaves_the_processor_to_the_run_for_a_while(monkeypatch)
     sim = Simulation(library.build("chain"), topology="graph", execution="serial")
     now = [0.0]
 
-    def asked(meter, window):
+    def asked(meter, window, within):
         now[0] += 2.0
         return Verdict(window.first, window.frames, trouble="other programs"), None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import operator
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,6 +17,7 @@ from taichi_cloth.budgets.goal import Goal
 from taichi_cloth.budgets.methods import Found, Rival, Rivals, explicit
 from taichi_cloth.budgets.seconds import MARGIN, Second, SecondErrors
 from taichi_cloth.budgets.solver import SolverErrors
+from taichi_cloth.console import percent
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods
 from taichi_cloth.kernels.forces import act_on_triangles as acts_by_speed
@@ -125,9 +127,11 @@ class Keeper:
 
     def trials(self) -> list[Trial]:
         """By which other methods the window that ends now is to be made again."""
-        if self._why_kept() or self._run() != self._of:
+        if self._run() != self._of:
             return []
-        return self._rivals.trials(self._sim.substeps, self._others())
+        others = [] if self._why_kept() else self._others()
+        now, missed = self._sim.substeps, self._errors.missed
+        return self._rivals.trials(now, self._limits(), others, missed=missed)
 
     @property
     def chooses_method(self) -> bool:
@@ -143,11 +147,13 @@ class Keeper:
     def _others(self) -> list[Rival]:
         """The other methods that have a stable step, and what that costs."""
         sim, found = self._sim, []
-        here = self._cost(sim.method)
+        here, fits = self._cost(sim.method), self._fits()
         for name, stable in self._explicit.items():
             least = stable.found() if name != sim.method else None
             if least is not None:
-                found.append(Rival(name, self._cost(name) / here, least))
+                cost = self._cost(name) / here
+                most = min(stable.resolved() or RUNGS[-1], int(fits / cost))
+                found.append(Rival(name, cost, least, most))
         return found
 
     def _cost(self, method: str) -> float:
@@ -177,8 +183,8 @@ class Keeper:
         if self.goal.seconds is not None:
             first = FrameTimes(self.goal.seconds).said(found.substeps, limits)
         else:
-            there = replace(limits, least=self._explicit[found.method].least())
-            first = found.errors.choose(found.substeps, there)
+            there = next(rival for rival in self._others() if rival.name == found.method)
+            first = found.errors.choose(found.substeps, there.limits)
         return replace(first, why=f"{first.why}; {found.why}", method=found.method)
 
     def _solved(self, solver: SolverErrors, choice: Choice, now: int, limits: Limits) -> Choice:
@@ -220,7 +226,11 @@ class Keeper:
 
     def _note(self, verdict: Verdict) -> None:
         """Take a verdict for what it says of the present method."""
-        if verdict.resting or verdict.method != self._sim.method:
+        if verdict.method != self._sim.method:
+            return
+        if verdict.resting:
+            self._errors.rest(verdict.own_substeps)
+            self._due = True
             return
         first, end = verdict.first, verdict.first + verdict.frames
         within = [count for frame, count in self._broken if first - LOOK <= frame <= end + LOOK]
@@ -234,17 +244,25 @@ class Keeper:
         for solver in self._solvers:
             if sure and first >= self._solved_so and whole > 0:
                 solver.note(left / whole)
+        others = {name: [(n, e) for n, e in tries] for name, tries in verdict.others.items()}
+        trouble = verdict.trouble or ("" if verdict.known else "nothing was measured")
+        parted = (verdict.parted or 0.0) / scale
+        if trouble and self.goal.error and parted > self.goal.error:
+            part = percent(parted, 2)
+            trouble += f"; chance decides: runs that differ by a millionth part by {part}"
         second = Second(
             verdict.own_substeps,
             error,
             (verdict.rounding or 0.0) / scale,
-            verdict.order,
-            verdict.trouble or ("" if verdict.known else "nothing was measured"),
+            others.get(verdict.method, ()),
+            trouble,
             left,
+            math.exp((verdict.growth or 0.0) * verdict.judged),
+            verdict.acted,
         )
         torn = bool(within) and max(within) > min(within)
         self._errors.note(second, torn)
-        self._rivals.note(second, verdict.others, torn)
+        self._rivals.note(second, others, torn)
         self._due = self._judged = True
 
     def _best(self) -> int | None:
@@ -253,6 +271,11 @@ class Keeper:
         if found is not None and not (known and known / ANEW <= found <= known * ANEW):
             self._useful = Limits(most=max(1, int(found))).rungs()[-1]
         return self._useful
+
+    def _fits(self) -> int:
+        """The most substeps that frames have time for, where an error is held."""
+        fits = None if self.goal.seconds is not None else self._times.most_within()
+        return RUNGS[-1] if fits is None else fits
 
     def _limits(self) -> Limits:
         least, most, why = self._stable.least(), RUNGS[-1], "there are no more"
@@ -269,8 +292,8 @@ class Keeper:
                 first = UNMEASURED * least
                 most, why = min((most, why), (first, "no second has been measured yet"))
         else:
-            fits = self._times.most_within()
-            if fits is not None and fits < most:
+            fits = self._fits()
+            if fits < most:
                 most, why = fits, f"frames would take more than {1e3 * LONGEST:g} ms to simulate"
         return Limits(least, max(most, least), why)
 

@@ -1,14 +1,16 @@
 """The method as a budget's first setting: another explicit one, where it is clearly better.
 
 The error meter makes the seconds that it measures again by the other explicit methods, at steps of
-equal cost, or cheaper ones with which the error that is held is still met, and judges each by the
-same reference. What is chosen is better by a clear factor in the last seconds; after each change
-more seconds have to say so, so that a run does not go to and fro. Implicit methods are not tried:
-what their steps cost depends on the state, and they take seconds to compile.
+equal cost, and judges each by the same reference. Under an error each goes on with finer steps
+until one has met it, and with coarser ones while it does. What is chosen is better by a clear
+factor in the last seconds, or in the last one where the present method has missed the error. After
+each change more seconds have to say so, so that a run does not go to and fro. Implicit methods are
+not tried: what their steps cost depends on the state, and they take seconds to compile.
 """
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,15 +18,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taichi_cloth.budgets.choice import RUNGS, Limits
-from taichi_cloth.budgets.seconds import HELPLESS, MARGIN, Second, SecondErrors
+from taichi_cloth.budgets.seconds import (
+    FARTHEST,
+    MARGIN,
+    RECENT,
+    TRIED,
+    Second,
+    SecondErrors,
+)
 from taichi_cloth.error_meter.others import Trial
 from taichi_cloth.kernels import methods
 
-CLEAR = 2.0  # times: by how much another method is better, to be chosen
+CLEAR = 2.0  # times: by how much another method errs less in the same time, to be chosen
+CHEAPER = 1.25  # times: by how much it is cheaper where an error is held: a rung
 ENOUGH = 5  # seconds that have to say so: at first; twice as many after each change, and at most
 LATELY = 20  # as many as are looked at
 SURELY = 0.75  # of these: in so many errors are smaller by that factor
-OFTEN, SELDOM = 8, 4  # seconds in each of which others are tried; after them, in each fourth
+# Seconds in each of which others are tried, and far finer steps where an error is held; after
+# them in each fourth.
+OFTEN, SELDOM = 8, 4
 
 
 def explicit() -> list[str]:
@@ -39,19 +51,27 @@ def explicit() -> list[str]:
 
 @dataclass(frozen=True)
 class Rival:
-    """Another method. cost: of its step, in steps of the present one; least: stable substeps."""
+    """Another method. cost: of its step, in steps of the present one; least: stable substeps.
+
+    most: substeps that frames have time for, and that the precision follows.
+    """
 
     name: str
     cost: float
     least: int
+    most: int = RUNGS[-1]
+
+    @property
+    def limits(self) -> Limits:
+        """Between which substeps it may be."""
+        return Limits(self.least, max(self.most, self.least))
 
 
 @dataclass(frozen=True)
 class Found:
     """A method to go on with. why: in words. errors: of the last seconds, as they would have been.
 
-    substeps: that it begins with: as many as take the frame's time, or at least half of it where an
-    error is held, as coarser steps come one after the other, each after seconds that were measured.
+    substeps: that it begins with: as many as take the frame's time, or meet the error.
     """
 
     method: str
@@ -76,19 +96,31 @@ class Rivals:
         self._refused: set[str] = set()
         self._ended = 0  # windows
 
-    def trials(self, now: int, rivals: Sequence[Rival]) -> list[Trial]:
-        """What the window that ends, which had `now` substeps, is to be made again with."""
+    def trials(
+        self, now: int, limits: Limits, rivals: Sequence[Rival], *, missed: bool = False
+    ) -> list[Trial]:
+        """What the window that ends, which had `now` substeps, is to be made again with.
+
+        limits: of the present method, which is tried, too: where an error is held with finer and
+        coarser steps; else with half as long ones, for the order that it shows. missed: whether the
+        window before missed the error.
+        """
         self._ended += 1
-        if self._ended > OFTEN and self._ended % SELDOM:
-            return []
-        found = []
-        for rival in rivals:
-            most = int(now / rival.cost * (1 + 1e-9))
-            gain = 1.0 if self._goal is None else CLEAR  # cheaper than that it has to be possible
-            if rival.name not in self._refused and most >= gain * rival.least:
-                within = None if self._goal is None else MARGIN * self._goal
-                found.append(Trial(rival.name, most, rival.least, within))
-        return found
+        seldom = self._ended > OFTEN and self._ended % SELDOM and not missed
+        if self._goal is None:
+            found = [Trial(self.present, 2 * now, now, within=math.inf)]
+            for rival in () if seldom else rivals:
+                if (equal := now / rival.cost * (1 + 1e-9)) >= rival.least:
+                    found.append(Trial(rival.name, equal, rival.least))
+        else:
+            within, times = MARGIN * self._goal, FARTHEST if seldom else TRIED
+            finest = min(int(times * now), limits.most)
+            found = [Trial(self.present, now, limits.least, finest, within)]
+            for rival in rivals:
+                equal = now / rival.cost
+                most = min(int(times * equal), rival.most)
+                found.append(Trial(rival.name, equal, rival.least, most, within))
+        return [trial for trial in found if trial.method not in self._refused]
 
     def note(
         self, second: Second, others: Mapping[str, Sequence[tuple[int, float]]], torn: bool
@@ -97,29 +129,42 @@ class Rivals:
         if second.trouble:
             return
         for name, tries in others.items():
-            if tries:
-                self._note(name, second, [_as_second(second, *one) for one in tries], torn)
+            if tries and name != self.present:
+                self._note(name, second, tries, torn)
 
-    def _note(self, name: str, second: Second, tries: list[Second], torn: bool) -> None:
+    def _note(
+        self, name: str, second: Second, tries: Sequence[tuple[int, float]], torn: bool
+    ) -> None:
         if name not in self._errors:
             claimed = methods.load(name).claims.order
             self._errors[name] = SecondErrors(self._goal or 1.0, claimed)
             self._ratios[name] = deque(maxlen=LATELY)
-        best = min(tries, key=lambda one: one.error)
+        found = [_as_second(second, *one) for one in tries]
+        best = min(found, key=lambda one: one.error)
         if second.error > 0:
             ratios = best.error / second.error, best.substeps / second.substeps
             self._ratios[name].append(ratios)
-        met = [one for one in tries if self._goal and one.error <= MARGIN * self._goal]
-        self._errors[name].note(met[-1] if met else best, torn)
+        if self._goal is not None:
+            met = [one for one in found if one.error <= MARGIN * self._goal]
+            best = min(met, key=lambda one: one.substeps, default=best)
+            best = replace(best, tries=tries)
+        self._errors[name].note(best, torn)
 
     def refuse(self, name: str) -> None:
         """A method could not be taken: it is tried no more."""
         self._refused.add(name)
 
-    @property
-    def _seconds(self) -> int:
-        """How many have to say that another method is better."""
-        return min(ENOUGH << self.changes, LATELY)
+    def _seconds(self, pressed: bool = False) -> int:
+        """How many have to say that another method is better.
+
+        pressed: whether the present one misses the error, or would take far more substeps.
+        """
+        most = LATELY if self._goal is None else RECENT
+        return min((1 if pressed else ENOUGH) << self.changes, most)
+
+    def _seen(self, name: str) -> int:
+        """How many seconds of a method say something."""
+        return len(self._ratios[name]) if self._goal is None else len(self._errors[name].sure)
 
     def better(
         self, own: SecondErrors, now: int, limits: Limits, rivals: Sequence[Rival]
@@ -129,30 +174,36 @@ class Rivals:
         own: the errors of the present one, which has `now` substeps. limits: of that.
         """
         found = []
+        needed = own.needed or 0.0
+        pressed = self._goal is not None and (own.missed or needed > CLEAR * now)
         for rival in rivals:
             errors = self._errors.get(rival.name)
             if errors is None or rival.name in self._refused:
                 continue
-            if len(errors.sure) >= self._seconds:
+            if self._seen(rival.name) >= self._seconds(pressed):
                 by = self._by_error if self._goal is not None else self._by_time
                 found.append(by(rival, errors, own, now, limits))
         gain, best = max(filter(None, found), key=lambda one: one[0], default=(0.0, None))
-        return best if gain >= CLEAR else None
+        return best if gain >= (CLEAR if self._goal is None else CHEAPER) else None
 
     def _by_error(
         self, rival: Rival, errors: SecondErrors, own: SecondErrors, now: int, limits: Limits
     ) -> tuple[float, Found] | None:
         """How many times as cheap a method meets the error, and with how many substeps."""
         needed, theirs = own.needed, errors.needed
-        if needed is None or theirs is None:
+        if needed is None or theirs is None or not all(map(errors.met, errors.sure)):
             return None
-        there = replace(limits, least=rival.least).at_least(theirs)
+        there = rival.limits.at_least(theirs)
         if there is None:
             return None
-        here = limits.at_least(needed) or round(needed)
-        first = max(there, limits.at_least(now / CLEAR / rival.cost) or there)  # not all at once
-        why = f"{self.present} would take {here}"
-        return here / (rival.cost * there), Found(rival.name, first, why, errors)
+        tried = max((s.finest[0] for s in own.sure if not own.met(s)), default=0)
+        # With twice as many as were tried in vain it might do, and no sooner.
+        here = max(limits.at_least(needed) or needed, 2 * tried)
+        why = f"{self.present} would take " + (f"more than {tried}" if tried else f"{here:.0f}")
+        # Where worse seconds are to come, a higher order is worth more than substeps can say.
+        mine, other = own.worth(math.inf) or 1.0, errors.worth(math.inf) or 1.0
+        gain = max(here, mine) / (rival.cost * max(there, other))
+        return gain, Found(rival.name, there, why, errors)
 
     def _by_time(
         self, rival: Rival, errors: SecondErrors, own: SecondErrors, now: int, limits: Limits
@@ -174,28 +225,27 @@ class Rivals:
             errors, ratios = self._errors.get(rival.name), self._ratios.get(rival.name)
             if errors is None or not ratios:
                 continue
-            seconds = max(seconds, len(errors.sure))
+            seconds = max(seconds, self._seen(rival.name))
             if self._goal is None:
                 usual = float(np.median([ratio for ratio, _ in ratios]))
                 words.append(f"{rival.name} errs {usual:.2g} times as much")
             elif (needed := errors.needed) is not None:
-                there = Limits(least=rival.least).at_least(needed) or RUNGS[-1]
-                words.append(f"{rival.name} would take {there}")
+                there = rival.limits.at_least(needed) or RUNGS[-1]
+                unmet = [second.finest[0] for second in errors.sure if not errors.met(second)]
+                most = f"more than {max(unmet)}" if unmet else f"{there}"
+                words.append(f"{rival.name} would take {most}")
         if not words:
             return ""
         said = f"{'in the same time ' if self._goal is None else ''}{', '.join(words)}"
-        if seconds < self._seconds:
-            return f"in {seconds} of {self._seconds} seconds to compare, {said}"
+        if seconds < self._seconds():
+            return f"in {seconds} of {self._seconds()} seconds to compare, {said}"
         return f"no other method is clearly better: {said}"
 
 
 def _as_second(second: Second, substeps: int, error: float) -> Second:
     """A second as another method would have made it, where it has `error` in f64.
 
-    Rounding grows with the number of steps. The order is the method's own matter, but where finer
-    steps were no help in that second, they are none for any.
+    Rounding grows with the number of steps.
     """
     rounding = second.rounding * substeps / second.substeps
-    helpless = second.order is not None and second.order < HELPLESS
-    order = second.order if helpless else None
-    return Second(substeps, error + rounding, rounding, order)
+    return replace(second, substeps=substeps, error=error + rounding, rounding=rounding, solver=0.0)

@@ -103,8 +103,10 @@ def _simulate(first: Wanted, log: Log | None, resumed: saved.Saved | None) -> in
         if log:
             window.scenes.fixed = "a log is replayed here, and that is of this scene"
         while now is not None:
-            frames = _run_in(window, now, device)
-            failure = failure or _ended(now)  # which is told last, where the window goes on
+            frames, missed = _run_in(window, now, device)
+            failure = (
+                failure or _ended(now) or missed
+            )  # which is told last, where the window goes on
             now = window.go_on(frames)
     if failure is not None:
         raise failure
@@ -121,8 +123,10 @@ def _ready(wanted: Wanted) -> Run:
     return Run(wanted, sim, None, run_beside.begun(sim, wanted.options, make, paced=True))
 
 
-def _run_in(window: Window, run: Run, device: Device) -> int:
-    """Run a scene in a view until it ends, and finish its files; return how many frames it made."""
+def _run_in(window: Window, run: Run, device: Device) -> tuple[int, RunFailure | None]:
+    """Run a scene in a view until it ends, and finish its files; return how many frames it made,
+    and what to say of a budget that was to be held strictly, and was not.
+    """
     from taichi_cloth.ui import app
 
     view, sim, log, beside = window.view, run.sim, run.log, run.beside
@@ -171,6 +175,7 @@ def _run_in(window: Window, run: Run, device: Device) -> int:
             budget=budget,
             **_of_frames(options, view),
         )
+        missed = budget.missed() if options.strict else None
     if not options.quiet:
         seconds = time.perf_counter() - begin
         along = beside.twin.later[1] if beside else 0.0
@@ -182,7 +187,7 @@ def _run_in(window: Window, run: Run, device: Device) -> int:
             run_notes.note_unreplayed(log, summary.frames)
         for line in beside.findings(summary.frames) if beside else ():
             print(line, flush=True)
-    return summary.frames
+    return summary.frames, missed
 
 
 def _noted(run: Run) -> Recordings | None:

@@ -94,15 +94,13 @@ class MeasuredErrors:
         """What was measured since it was switched on."""
         return self._meter.verdicts if self._meter else ()
 
-    def measure_orders(self) -> str:
-        """Measure the order of each second, too; why nothing can be measured, "": it can."""
-        if self._meter is None:
-            return "the error meter is off"
-        self._meter.orders = True
-        return self._meter.refused
+    @property
+    def refused(self) -> str:
+        """Why nothing can be measured; "": it can."""
+        return "the error meter is off" if self._meter is None else self._meter.refused
 
     def try_methods(self, trials: Callable[[], Sequence[Trial]] | None) -> None:
-        """Make windows again by the methods that `trials` says at their ends, while it measures."""
+        """Make windows again as `trials` says at their ends, while it measures."""
         self._trials = trials
         if self._meter is not None:
             self._meter.trials = trials

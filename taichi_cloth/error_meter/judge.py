@@ -18,7 +18,7 @@ import numpy as np
 
 from taichi_cloth import runtime
 from taichi_cloth.error_meter import ghost
-from taichi_cloth.error_meter.others import Trial
+from taichi_cloth.error_meter.others import Trial, results
 from taichi_cloth.error_meter.verdict import AIM, GREW, MILLIONTH, THIRD, Verdict
 from taichi_cloth.error_meter.window import (
     FRAMES,
@@ -120,11 +120,12 @@ class Judge:
         self._springs: list[np.ndarray] = []  # at each sample of the last run
         self._measured: _Measured | None = None
 
-    def measure(self, folder: str, patience: float) -> dict[str, Any]:
+    def measure(self, folder: str, patience: float, within: float = math.inf) -> dict[str, Any]:
         """The verdict on the window in a folder, as a dictionary; the reference is put there, too.
 
         What the error comes from is left to `part`. patience: seconds that the references may take,
-        compiling left out.
+        compiling left out. within: an error, in parts of the motion, that these are to tell, too,
+        where the window's own is larger.
         """
         self._folder, self._measured = Path(folder), None
         window, begin = self._read(self._folder / WINDOW), time.perf_counter()
@@ -132,24 +133,21 @@ class Judge:
         own = window.substeps[0] if len(set(window.substeps)) == 1 else 0
         verdict = Verdict(
             window.first, window.frames, window.precision, size=size, method=window.method,
-            own_substeps=own,
+            own_substeps=own, acted=any(window.acts.values()),
         )  # fmt: skip
         try:
-            verdict = self._verdict(window, verdict, patience)
+            verdict = self._verdict(window, verdict, patience, within)
         except TooSlow as slow:
             verdict = replace(verdict, trouble=str(slow))
         except (SimulationFailure, InputError) as failure:
             verdict = replace(verdict, trouble=f"the reference fails: {failure}")
         return asdict(replace(verdict, seconds=time.perf_counter() - begin))
 
-    def part(
-        self, patience: float, order: bool = False, trials: Sequence[dict[str, Any]] = ()
-    ) -> dict[str, Any]:
+    def part(self, patience: float, trials: Sequence[dict[str, Any]] = ()) -> dict[str, Any]:
         """The same verdict with how disturbances grow, and with what made the error.
 
-        patience: seconds for that, compiling left out; what takes longer stays unknown. order:
-        whether the window's own order is measured, too. trials: of other methods, as dictionaries
-        of `Trial`.
+        patience: seconds for that, compiling left out; what takes longer stays unknown. trials: of
+        other steps and methods, as dictionaries of `Trial`.
         """
         measured, begin = self._measured, time.perf_counter()
         if measured is None:
@@ -158,11 +156,9 @@ class Judge:
         self._until = time.perf_counter() + patience
         with suppress(TooSlow, SimulationFailure, InputError):
             verdict = self._grown(measured, verdict)
-            if order and verdict.own_substeps:
-                verdict = self._ordered(measured, verdict)
             verdict = self._parted(measured, verdict)
-        for trial in trials if verdict.own_substeps else ():
-            verdict = self._tried(measured, verdict, Trial(**trial))
+        if trials and verdict.own_substeps:
+            verdict = self._tried(measured, verdict, [Trial(**trial) for trial in trials])
         return asdict(replace(verdict, seconds=verdict.seconds + time.perf_counter() - begin))
 
     def _tell(self, stage: str) -> None:
@@ -177,7 +173,7 @@ class Judge:
         taken = Snapshot(**{**snapshot, "scene": self._scene})
         return Window(**{**parts, "start": Start(**{**start, "snapshot": taken})})
 
-    def _verdict(self, window: Window, verdict: Verdict, patience: float) -> Verdict:
+    def _verdict(self, window: Window, verdict: Verdict, patience: float, within: float) -> Verdict:
         """The verdict with the error; TooSlow where too few frames can be made again in time."""
         start, shown = window.start, _samples(np.asarray(window.shown, np.float64))
         scene, method = start.snapshot.scene, reference.fine_method()
@@ -198,7 +194,7 @@ class Judge:
                 * (patience < WAITING)
             )
         self._until = begin + patience
-        found = self._refined(window, plan, coarsest, shown)
+        found = self._refined(window, plan, coarsest, shown, within)
         samples = found.sure or len(found.finest) - 1
         finest, seen = found.finest.first(samples), shown.first(samples)
         scale, _ = reference.extent(scene, finest)
@@ -228,14 +224,20 @@ class Judge:
         return self._run(window, plan)
 
     def _refined(
-        self, window: Window, plan: _Plan, coarsest: errors.Samples, shown: errors.Samples
+        self,
+        window: Window,
+        plan: _Plan,
+        coarsest: errors.Samples,
+        shown: errors.Samples,
+        within: float,
     ) -> _Reference:
         """The reference, and how far it is one, in the time that there is.
 
-        It is refined until it differs from the one before by a fifth of the error, or by nothing
-        but round-off: across contacts and breaks that is about what the finer one is wrong by, else
-        far more. Chance, too, ends it: where disturbances grow, finer steps come no nearer to each
-        other, and what they share is a beginning. The longest of these is kept.
+        It is refined until it differs from the one before by a fifth of the error, or of the one
+        that others are to be within, or by nothing but round-off: across contacts and breaks that
+        is about what the finer one is wrong by, else far more. Chance, too, ends it: where
+        disturbances grow, finer steps come no nearer to each other, and what they share is a
+        beginning. The longest of these is kept.
         """
         free = ~window.start.snapshot.scene.particles.fixed
         least, best, before = _least(window), None, coarsest
@@ -250,7 +252,7 @@ class Judge:
             if made < 1:
                 raise TooSlow("the second reference takes too long")
             before = before.first(made)
-            sure, enough = _agreement(shown.first(made), finer, before, free)
+            sure, enough = _agreement(shown.first(made), finer, before, free, within)
             sure = sure if sure >= least else 0
             found = _Reference(finer, before, plan.substeps[0], sure, self._springs)
             best = found if best is None or found.worth >= best.worth else best
@@ -267,25 +269,8 @@ class Judge:
         plan = _Plan(reference.fine_method(), substeps, {}, start)
         other = self._whole(measured.window, plan)
         apart = errors.rms_by_frame(measured.coarsest, other, measured.free)
-        return replace(verdict, growth=_rate(apart) / measured.window.stride)
-
-    def _ordered(self, measured: _Measured, verdict: Verdict) -> Verdict:
-        """The verdict with the order that the window's own method shows in it.
-
-        Its settings are run in f64, and with twice as many substeps.
-        """
-        plan = _own(measured)
-        self._compile(measured.window, plan, "its order")
-        twice = replace(plan, substeps=[2 * n for n in plan.substeps])
-        coarse, fine = (
-            errors.distance(
-                self._whole(measured.window, one), measured.finest, measured.free
-            ).trajectory
-            for one in (plan, twice)
-        )
-        if not min(coarse, fine) > 0:
-            return verdict
-        return replace(verdict, order=math.log2(coarse / fine))
+        parted = errors.distance(measured.coarsest, other, measured.free).trajectory
+        return replace(verdict, growth=_rate(apart) / measured.window.stride, parted=parted)
 
     def _parted(self, measured: _Measured, verdict: Verdict) -> Verdict:
         """The verdict with what solver and rounding made of the error."""
@@ -310,23 +295,32 @@ class Judge:
                 verdict = replace(verdict, solver=apart)
         return verdict
 
-    def _tried(self, measured: _Measured, verdict: Verdict, trial: Trial) -> Verdict:
-        """The verdict with the errors of another method: as many as there is time for."""
+    def _tried(self, measured: _Measured, verdict: Verdict, trials: Sequence[Trial]) -> Verdict:
+        """The verdict with the errors of other steps and methods: as many as there is time for."""
         window, count = measured.window, verdict.judged
-        plan = _Plan(trial.method, [trial.most] * count, {}, window.start)
-        found: list[tuple[int, float]] = []
+        found: dict[str, list[tuple[int, float]]] = {}
+        exact = window.precision == "f64"
 
-        def error(substeps: int) -> float:
-            self._tell(f"{trial.method} in its place")
-            made = self._whole(window, replace(plan, substeps=[substeps] * count))
+        def error(method: str, substeps: int) -> float:
+            own = method == window.method
+            if exact and own and substeps == verdict.own_substeps:
+                return verdict.relative  # as it was shown
+            plan = _Plan(method, [substeps] * count, window.solver if own else {}, window.start)
+            try:
+                self._compile(window, plan, method)
+                self._tell(f"{method} in {substeps} steps a frame")
+                made = self._whole(window, plan)
+            except (SimulationFailure, InputError):
+                return math.inf
             apart = errors.distance(made, measured.finest, measured.free).trajectory
             return apart / verdict.scale
 
-        with suppress(TooSlow, SimulationFailure, InputError):
-            self._compile(window, plan, trial.method)
-            for result in trial.results(error, (verdict.rounding or 0.0) / verdict.scale):
-                found.append(result)  # one by one: what comes next may fail
-        return replace(verdict, others={**verdict.others, trial.method: found})
+        with suppress(TooSlow):
+            rounding = (verdict.rounding or 0.0) / verdict.scale
+            for method, substeps, result in results(trials, error, rounding):
+                if math.isfinite(result):
+                    found.setdefault(method, []).append((substeps, result))
+        return replace(verdict, others={**found})
 
     # --- runs ------------------------------------------------------------------------------
 
@@ -384,18 +378,25 @@ def _own(measured: _Measured) -> _Plan:
 
 
 def _agreement(
-    shown: errors.Samples, finer: errors.Samples, before: errors.Samples, free: np.ndarray
+    shown: errors.Samples,
+    finer: errors.Samples,
+    before: errors.Samples,
+    free: np.ndarray,
+    within: float,
 ) -> tuple[int, bool]:
     """For how many samples two references differ by at most a third of the error, or by round-off;
     and whether over all of them by so little that no finer one is needed.
+
+    within: the error, in parts of the motion, that is to be told, too.
     """
     apart, error = (
         _trajectory(errors.rms_by_frame(other, finer, free)) for other in (before, shown)
     )
-    rounding = reference.ENOUGH * (errors.displacement(finer, free) or 1.0)
+    scale = errors.displacement(finer, free) or 1.0
+    rounding, told = reference.ENOUGH * scale, min(error[-1], within * scale)
     good = np.flatnonzero((apart <= THIRD * error) | (apart <= rounding))
     sure = int(good[-1]) + 1 if len(good) else 0
-    return sure, bool(apart[-1] <= AIM * error[-1] or apart[-1] <= rounding)
+    return sure, bool(apart[-1] <= AIM * told or apart[-1] <= rounding)
 
 
 def _trajectory(rms: np.ndarray) -> np.ndarray:

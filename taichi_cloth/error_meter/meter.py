@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
 import threading
 import time
@@ -56,9 +57,9 @@ class ErrorMeter(Listener):
 
     sim: which it listens to until `close`. waits: whether the run waits for each window's verdict;
     else it goes on. tell: called with each verdict, in another thread unless it waits.
-    orders: whether the order of each window is measured, too. trials: says at the end of a window
-    by which other methods it is made again; None: by none. rests: for how many times as long as it
-    judged a window it leaves the processor to the run, which has shorter frames then.
+    trials: says at the end of a window by which other steps and methods it is made again; None: by
+    none. rests: for how many times as long as it judged a window it leaves the processor to the
+    run, which has shorter frames then.
     verdicts: all of them; recent: those of the run as it is now: after a reset of none before, and
     where it went back and went another way, of none after that. ghost: of the last verdict that
     knows an error, while the run is the one it is of.
@@ -71,9 +72,8 @@ class ErrorMeter(Listener):
         waits: bool = False,
         tell: Callable[[Verdict], None] | None = None,
         patience: float | None = None,
-        orders: bool = False,
     ) -> None:
-        self._sim, self._waits, self._tell, self.orders = sim, waits, tell, orders
+        self._sim, self._waits, self._tell = sim, waits, tell
         self.trials: Callable[[], Sequence[Trial]] | None = None
         self.rests, self._rested = 0.0, 0.0  # and until when it rests
         self._patience = patience or (WAITING if waits else PATIENCE)
@@ -253,7 +253,7 @@ class ErrorMeter(Listener):
         """Ask the process: for the error, and then for what it comes from."""
         verdict, begin = None, time.perf_counter()
         try:
-            verdict, ghost = self._ask(window)
+            verdict, ghost = self._ask(window, _finest(trials))
             if verdict.known:
                 self._show(window, verdict)
                 with self._lock:
@@ -289,8 +289,8 @@ class ErrorMeter(Listener):
             others = [v for v in self.recent if v.first != verdict.first and _apart(v, verdict)]
             self.recent = sorted([*others, verdict], key=lambda one: one.end)
 
-    def _ask(self, window: Window) -> tuple[Verdict, Ghost | None]:
-        """The error of a window, and its ghost."""
+    def _ask(self, window: Window, within: float) -> tuple[Verdict, Ghost | None]:
+        """The error of a window, and its ghost. within: errors that are to be told by it, too."""
         folder = Path(self._folder.name)
         if self._worker is None:
             self._known = None
@@ -301,7 +301,7 @@ class ErrorMeter(Listener):
             self._worker.ask(make=JUDGE, **{"as": "judge", "with": {"threads": threads}})
         window.write(folder / WINDOW, self._known)
         self._known = window.start.snapshot.scene
-        given = {"folder": str(folder), "patience": self._patience}
+        given = {"folder": str(folder), "patience": self._patience, "within": within}
         answer = self._worker.ask(of="judge", do="measure", **{"with": given})
         verdict = Verdict(**answer["result"])
         return verdict, Ghost.read(folder / GHOST, window) if verdict.known else None
@@ -309,10 +309,7 @@ class ErrorMeter(Listener):
     def _ask_parts(self, trials: Sequence[Trial]) -> Verdict:
         """The verdict on the window that was measured last, with what its error comes from."""
         assert self._worker is not None
-        given = {
-            "patience": self._patience, "order": self.orders,
-            "trials": [asdict(trial) for trial in trials],
-        }  # fmt: skip
+        given = {"patience": self._patience, "trials": [asdict(trial) for trial in trials]}
         answer = self._worker.ask(of="judge", do="part", **{"with": given})
         return Verdict(**answer["result"])
 
@@ -366,6 +363,11 @@ class ErrorMeter(Listener):
             f"{percent(most, DIGITS)} at most, over "
             f"{count}{unsure}{skipped}"
         )
+
+
+def _finest(trials: Sequence[Trial]) -> float:
+    """The smallest error that trials are to be within, in parts of the motion."""
+    return min((trial.within for trial in trials if trial.within is not None), default=math.inf)
 
 
 def _apart(one: Verdict, other: Verdict) -> bool:

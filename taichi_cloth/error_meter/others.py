@@ -1,38 +1,73 @@
-"""A window by other methods than its own: at which steps these are tried."""
+"""A window with other steps and by other methods: at which steps these are tried."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Trial:
-    """What a window is to be made again with, besides its own method.
+    """A method that a window is to be made again with.
 
-    method: which. most: substeps of a frame, tried first: those that take as long as the window's
-    own. least: the fewest with which it is stable. within: with an error of at most that, in parts
-    of the window's motion, half as many are tried next, and so on; None: of what rounding made of
+    equal: substeps of a frame that take as long as the window's own; tried first. least: the fewest
+    with which it is stable; finest: the most that may be tried; None: as many as are equal.
+    within: the error that is wanted, in parts of the window's motion; None: what rounding made of
     the window, as below that fewer steps are more accurate.
     """
 
     method: str
-    most: int
+    equal: float
     least: int
+    finest: int | None = None
     within: float | None = None
 
-    def results(
-        self, error: Callable[[int], float], rounding: float
-    ) -> Iterator[tuple[int, float]]:
-        """(substeps, error) of each try; error: of so many substeps, and rounding: what that made
-        of the window, in parts of the motion.
-        """
-        within = rounding if self.within is None else self.within
-        substeps = self.most
-        while True:
-            found = error(substeps)
-            yield substeps, found
-            fewer = max(substeps // 2, self.least)
-            if not found <= within or fewer >= substeps:
-                return
-            substeps = fewer
+    def at(self, level: int) -> int | None:
+        """The substeps that take 2**level times as long as the window's own; None: none such."""
+        substeps = int(self.equal * 2**level * (1 + 1e-9))
+        if substeps < max(self.least, 1):
+            return None
+        return substeps if level == 0 or substeps <= (self.finest or 0) else None
+
+    def wants(self, rounding: float) -> float:
+        """The error to be within; rounding: what that made of the window."""
+        return rounding if self.within is None else self.within
+
+    @property
+    def levels(self) -> int:
+        """How many levels there are at which it may be tried."""
+        finer = (self.finest or 0) / self.equal
+        return 1 + max(0, math.floor(math.log2(finer) + 1e-9)) if finer > 0 else 1
+
+
+def results(
+    trials: Sequence[Trial], error: Callable[[str, int], float], rounding: float
+) -> Iterator[tuple[str, int, float]]:
+    """(method, substeps, error) of each try: finer until one is within, coarser while it is.
+
+    All are tried at equal cost first. Those that are within go on with half as many substeps, and
+    again half. Where none is, all go on at twice the cost, so the first one within is the cheapest;
+    the first trial, of the window's own method, goes on once more than that.
+    error: of a method with so many substeps, in parts of the motion; rounding: as of `Trial`.
+    """
+    going, last = list(trials), False
+    for level in range(max((trial.levels for trial in trials), default=0)):
+        within: list[tuple[Trial, int]] = []
+        for trial in going:
+            if (substeps := trial.at(level)) is None:
+                continue
+            found = error(trial.method, substeps)
+            yield trial.method, substeps, found
+            if found <= trial.wants(rounding):
+                within.append((trial, substeps))
+        for trial, substeps in within if level == 0 else ():
+            while (fewer := max(substeps // 2, trial.least)) < substeps:
+                found, substeps = error(trial.method, fewer), fewer
+                yield trial.method, substeps, found
+                if not found <= trial.wants(rounding):
+                    break
+        if last or trials[0] in [trial for trial, _ in within]:
+            return
+        if within:
+            going, last = [trials[0]], True

@@ -29,11 +29,12 @@ class Verdict:
     solver: how far the window's settings are from themselves with a solver that converged, in f64,
     None where there is no solver.
     rounding: how far what was shown is from the same in f64, None where that was f64.
-    method, own_substeps: the window's; 0 where it had several numbers of them. order: by which its
-    error falls with twice as many, None where nobody asked, or it cannot be told.
-    others: by other methods, (substeps, error in parts of the scale) of each try, in f64.
+    method, own_substeps: the window's; 0 where it had several numbers of them. acted: whether
+    somebody acted in it, as by a mouse.
+    others: by method, its own among them, (substeps, error in parts of the scale) of each try with
+    other steps, in f64.
     growth: the rate at which a disturbance of a millionth grew [1 / frame], 0 where it did not,
-    None where there was no time to see.
+    None where there was no time to see; parted: by how much it made the runs differ.
     seconds: that it took. trouble: why there is no error, or why it is not sure; "": it is.
     judged: how many of its frames, from the first on, that is said of; further: why not of all;
     by_frame: the root over the particles alone, at the end of each of them, or of each so many.
@@ -50,11 +51,12 @@ class Verdict:
     solver: float | None = None
     rounding: float | None = None
     growth: float | None = None
+    parted: float | None = None
     seconds: float = 0.0
     trouble: str = ""
     method: str = ""
     own_substeps: int = 0
-    order: float | None = None
+    acted: bool = False
     others: dict[str, Sequence[tuple[int, float]]] = field(default_factory=dict)
     judged: int = 0
     further: str = ""

@@ -269,6 +269,9 @@ class RunOptions(Options):
         str,
         metavar="60fps|1%",
     )
+    strict: bool = setting(
+        False, "with --hold: end with status 1 where that was not held after a search of 3 seconds"
+    )
     text_size: float | None = setting(
         None,
         "size of the text in windows, pictures and films, in parts of the usual (default: 1; in a "
