@@ -153,6 +153,26 @@ def test_a_cloth_of_a_file_shows_its_own_colour_to_the_camera_from_the_start(tmp
     assert (np.einsum("ij,ij->i", corners, normal) > 0).all()
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_what_clicks_put_into_a_scene_in_metres_is_seen(dim):
+    """Its particles are 2 mm large; what came with the scene is drawn as it is."""
+    world = replace(WORLD, size=WORLD.size[:dim], gravity=WORLD.gravity[:dim])
+    place = [[1.0, 1.0, 0.0][:dim], [1.2, 1.0, 0.0][:dim]]
+    scene = Scene("small", world, Particles.build(place, radius=0.002))
+    sim = Simulation(scene)
+    sim.spawn([1.0, 1.3, 0.0][:dim], radius=0.002)
+    picture = Depiction(sim).picture()
+    assert picture.radius[:2] == pytest.approx([0.002] * 2)
+    camera = camera_of(scene)
+    scale = 400 / (camera.middle[1] * 2) if camera else 400 / 2.0
+    drawn = (
+        camera.project(picture.position[2:], picture.radius[2:])[1]
+        if camera
+        else picture.radius[2:]
+    )
+    assert 3.0 < float(drawn[0]) * scale < 8.0
+
+
 def test_closed_bodies_are_drawn_as_they_are():
     vertex, triangles = icosphere(2)
     both = np.concatenate([triangles, triangles[:, ::-1] + len(vertex)])

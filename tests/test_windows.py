@@ -496,6 +496,19 @@ def test_what_the_pointer_needs_is_compiled_while_the_window_says_that_it_starts
     assert after and all(after)
 
 
+def test_a_scene_to_click_into_says_in_the_world_what_clicks_do_until_the_first_one():
+    click = press("left", (450, 250))
+    view = Script([], [press(key="p")], [click], [], [], size=(900, 500))
+    app.run(simulation("spawn"), view, device="test")
+    told = ["right click" in words(picture) for picture in view.pictures]
+    assert told == [True, True, True, False, False]
+    blows = Script([], [], size=(900, 500))
+    app.run(simulation("blow"), blows, device="test")
+    assert not any("right click" in words(picture) for picture in blows.pictures)
+    small = Script([], [], size=(120, 60))  # where they have no room
+    app.run(simulation("spawn"), small, device="test")
+
+
 def test_help_hide_and_quit():
     escape = press(key="escape")
     view = Script([press(key="f1")], [press(key="h")], [escape], [escape], [], [])

@@ -65,6 +65,7 @@ class Controls:
         self._by_key = {tool.key: tool for tool in tools.load_all().values() if tool.key}
         self._waiting: Callable[[], None] | None = None
         self.pressed = ""  # the button of the mouse that is down
+        self._clicked = False  # whether a tool was ever used
         self.refusal = ""  # why what the last event asked of the simulation was refused; "": done
 
     @property
@@ -91,6 +92,14 @@ class Controls:
     def chosen(self) -> str:
         """The name of the tool that is in hand in the place of the scene's own; "": none is."""
         return self.tool.name if self.tool and self.tool is not self._first else ""
+
+    @property
+    def hints(self) -> tuple[str, ...]:
+        """What clicks do with the scene's own tool, until the first one: lines of the key list."""
+        tool = self.tool
+        if self._clicked or tool is None or tool is not self._first or not tool.buttons:
+            return ()
+        return tool.actions(self._hand.sim.scene)
 
     @property
     def waits(self) -> bool:
@@ -276,6 +285,7 @@ class Controls:
                 self._use(tool.release, event, replayed=replayed)
         elif "ctrl" not in self._hand.held:
             if tool and self.takes(event):
+                self._clicked = True
                 self._use(tool.press, event, replayed=replayed)
             elif self._moves and button in DRAGS and not replayed:
                 self._follow(Event("view", drag=DRAGS[button]))

@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from taichi_cloth.simulation.simulation import Simulation
 
 
+LEAST_SPAWNED = 1 / 100  # of the picture's shorter side
+
+
 class Depiction:
     """Makes pictures of a simulation; what has not changed is kept from one to the next.
 
@@ -45,6 +48,7 @@ class Depiction:
         self._radius = Cached(_drawn_radius)
         largest = float(sim.scene.particles.radius.max(initial=0.0))
         self._discs = _largest_disc(sim.scene), largest
+        self._came = len(sim.scene.particles), _least_spawned(sim.scene)
         self._chosen = Cached(shown.chosen)
         self._surface_colors = Cached(shown.surface_colors)
         self._turned, self._turned_over = Cached(self._find_turned), Cached(shown.turned_over)
@@ -91,7 +95,7 @@ class Depiction:
                 np.negative(some, out=some, where=turned[:, None])
         made = Picture(
             position=position,
-            radius=self._radius(stored.radius, *self._discs),
+            radius=self._radius(stored.radius, *self._discs, *self._came),
             color=color,
             segments=segments,
             spring_color=spring_color,
@@ -124,12 +128,27 @@ class Depiction:
         return found
 
 
-def _drawn_radius(radius: np.ndarray, most: float, usual: float) -> np.ndarray:
+def _drawn_radius(
+    radius: np.ndarray, most: float, usual: float, came: int, least: float
+) -> np.ndarray:
     """Radii to draw, (n,) float32: at most `most`, but of balls that are larger than all particles
     that the scene came with, `usual`: these are seen as large as they are.
+
+    What was put there since, after the `came` first ones, is drawn with `least` at least.
     """
     drawn: np.ndarray = np.where(radius > usual, radius, np.minimum(radius, most))
+    drawn[came:] = np.maximum(drawn[came:], least)
     return drawn.astype(np.float32)
+
+
+def _least_spawned(scene: Scene) -> float:
+    """The least radius that is drawn of what clicks put into a scene, world units: one that is seen
+    from where the scene is looked at first.
+    """
+    camera, side = camera_of(scene), min(scene.world.size[:2])
+    if camera:
+        side *= camera.distance / camera.focal_length
+    return LEAST_SPAWNED * side
 
 
 def _with_marks(picture: Picture, marks: Marks) -> Picture:

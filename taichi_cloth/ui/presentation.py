@@ -291,9 +291,10 @@ class Presentation:
             faster=self._faster,
             whole=self.chrome.opened.strip == ROWS,
         )
-        if self._takes.of_world:  # over which these two lie
-            keys, banner = (), None
-        return Contents(rows, self._buttons, keys, banner, self.depiction.legends())
+        hints = self._controls.hints if windowed and not state.replaying else ()
+        if self._takes.of_world:  # over which these lie
+            keys, banner, hints = (), None, ()
+        return Contents(rows, self._buttons, keys, banner, self.depiction.legends(), hints)
 
     def _faster(self) -> Word | None:
         """What would make late frames shorter; a script has no flags, and no budget."""

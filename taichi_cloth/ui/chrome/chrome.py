@@ -21,7 +21,8 @@ class Contents:
 
     rows: of the status, of which as many are shown as are open. buttons: of the tool bar.
     keys: lines of the key list (empty: closed), "key<tab>action" for two columns.
-    banner: a message across the top (None: none). legends: what colours mean.
+    banner: a message across the top (None: none). legends: what colours mean. hints: lines like
+    those of the key list, at the foot of the world.
     """
 
     rows: tuple[Row, ...] = ()
@@ -29,6 +30,7 @@ class Contents:
     keys: tuple[str, ...] = ()
     banner: str | None = None
     legends: Sequence[messages.Meanings] = ()
+    hints: tuple[str, ...] = ()
 
 
 def key_list(lines: tuple[str, ...], layout: Layout) -> Panel:
@@ -114,6 +116,8 @@ class Chrome:
             found += self._strip(rows, layout.strip, layout.text)
         found += [part.panel(rect, layout.text) for part, rect in self._placed(layout)]
         found += messages.legends(contents.legends, layout.world, layout.text)
+        if contents.hints and not contents.keys:
+            found += messages.hints(contents.hints, layout.world, layout.text)
         if contents.banner:
             found.append(messages.banner(contents.banner, layout.world, layout.text))
         if contents.keys:  # over all else

@@ -51,6 +51,20 @@ def keys(lines: tuple[str, ...], height: int, *rooms: Rect) -> Panel:
     return Panel(left, top, Tile(pixels), "\n".join(lines))
 
 
+@lru_cache(maxsize=4)
+def hints(lines: tuple[str, ...], room: Rect, height: int) -> tuple[Panel, ...]:
+    """Lines "key<tab>action" in the middle of the world's foot; none where they do not fit."""
+    fitting = _fitting([lines], room, height)
+    if not fitting:
+        return ()
+    inks = style.KEY_INK, style.INK
+    pixels = text.rasterise(lines, fitting, paper=style.PAPER, inks=inks)
+    tall, wide = pixels.shape[:2]
+    left = room.x + (room.width - wide) // 2
+    top = room.y + max(room.height - tall - 3 * height, 0)
+    return (Panel(left, top, Tile(pixels), "\n".join(lines)),)
+
+
 Blocks = list[tuple[str, ...]]  # lines, in columns beside each other
 
 
