@@ -670,6 +670,6 @@ def test_a_headless_run_says_each_second_and_all_of_them():
     told = [line for line in lines if line.startswith("frame ")]
     assert [line.partition(":")[0] for line in told] == ["frame 60", "frame 120"]
     for line in told:
-        said = r"last second: 0\.\d+ % \(0\.\d+\), of which f32 .* %; a millionth grows to it in"
+        said = r"last second: 0\.\d+ % \(0\.\d+\), of which f32 .* %; a nudge of a millionth grows"
         assert re.search(said, line)
     assert any(re.match(r"error a second: 0\.\d+ % .* over 2 of 2 windows$", x) for x in lines)

@@ -533,6 +533,21 @@ def test_what_is_clicked_finds_room_where_faces_meet_obstacles_and_cloths_are_th
     assert sim.storage.state is fields
 
 
+@pytest.mark.parametrize(("name", "own"), [("g", [10]), ("i", [10]), ("c", [11, 10])])
+def test_what_a_click_would_take_is_marked_while_the_pointer_is_over_it(made, name, own):
+    sim = made()
+    x, y = spot(sim, 10)
+    there = (x + 12.0, y + 0.5) if name == "c" else (x + 3.0, y + 2.0)
+    turns = [key(name), [Event("move", pos=there)], [], [Event("leave")], [], []]
+    view = Hands(sim.scene.world, WINDOW, turns)
+    app.run(sim, view, frames=6, status=False, device="test")
+    count, pinned = sim.particle_count, int(sim.fixed().sum()) * (name == "i")
+    marked = [len(picture.position) - count - pinned for picture in view.pictures[1:]]
+    assert marked[1:4] == [len(own)] * 2 + [0] and marked[0] == 0
+    found = view.pictures[3].position[count + pinned :]
+    np.testing.assert_allclose(found, view.pictures[3].position[own])
+
+
 def test_what_flew_off_is_not_framed():
     """A few of many; two that are far from each other are what there is."""
     x = np.random.default_rng(5).uniform([200, 100, -50], [400, 300, 50], (200, 3))

@@ -556,6 +556,64 @@ def test_a_picture_shows_no_pointer_and_a_film_does(tmp_path):
     assert list(tmp_path.glob("*.png"))
 
 
+def test_a_picture_of_a_replay_shows_no_pointer(tmp_path):
+    drawn = []
+    view = NullView(world("blow"), (600, 400))
+    view.draw = drawn.append
+    view.grab = lambda: np.zeros((400, 600, 3), np.uint8)
+    log = Log({0: [Event("move", pos=(300.0, 200.0))]}, window=(600, 400))
+    image, film = str(tmp_path / "last.png"), str(tmp_path / "film.gif")
+    app.run(simulation("blow"), view, frames=2, replay=log, image=image, device="test")
+    assert drawn[-1].pointer is None
+    log = Log({0: [Event("move", pos=(300.0, 200.0))]}, window=(600, 400))
+    app.run(simulation("blow"), view, frames=2, replay=log, film=film, device="test")
+    assert drawn[-1].pointer.cross
+
+
+def test_a_picture_that_a_key_takes_is_as_large_as_the_window_whatever_is_open(tmp_path):
+    from PIL import Image
+
+    keys = [press(key=key) for key in "lks"]
+    view = Script(keys, [], [], [], size=(900, 600))
+    view.grab = lambda: np.zeros((600, 900, 3), np.uint8)
+    app.run(simulation("blow"), view, pictures=str(tmp_path), quiet=True, device="test")
+    (picture,) = tmp_path.iterdir()
+    assert Image.open(picture).size == (900, 600)
+    assert "nothing has failed" in words(view.pictures[-1])  # they are still open
+    taken = [one for one in view.pictures if not one.overlay]
+    assert len(taken) == 1 and taken[0].pointer is None
+
+
+def test_the_ring_goes_where_the_pointer_leaves_the_world():
+    """Onto the bar, or out of the window; a drag that goes on there keeps it."""
+    inside, bar = Event("move", pos=(450, 250)), Event("move", pos=(450, 5))
+    view = Script([inside], [bar], [inside], [Event("leave")], [inside], [], size=(900, 500))
+    app.run(simulation("blow"), view, device="test")
+    rings = [bool(one.pointer and one.pointer.ring) for one in view.pictures[1:]]
+    assert rings == [True, False, True, False, True]
+
+
+def test_escape_puts_the_tool_away_before_it_quits():
+    escape = press(key="escape")
+    view = Script([press(key="i")], [press(key="l")], [escape], [escape], [escape], [], [])
+    recorded = Recorded()
+    summary = app.run(simulation("blow"), view, recorder=recorded, device="test")
+    tools_said = [event.name for _, event in recorded if event.kind == "tool"]
+    assert tools_said == ["pin", ""] and summary.quit and summary.frames == 4
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_home_is_the_view_of_the_start(dim):
+    view = Script([press(key="+")] * 3, [press(key="home")], [press(key="z")], [], [])
+    view.camera = camera = camera_of_world(world("blow", dim))
+    seen = []
+    view.draw = lambda picture: seen.append(camera.pose if camera else view.look)
+    sim = FakeSimulation(Scene("fake", world("blow", dim), NO_ONE[dim]))
+    app.run(sim, view, device="test")
+    first, nearer, home, back = seen[:4]
+    assert first == home and nearer == back != home
+
+
 def test_strain_has_colours_only_where_there_are_springs():
     place = [[100.0, 100.0], [200.0, 100.0]]
     tied = Scene("tied", world("blow"), Particles.build(place), Springs.build([(0, 1)], place))

@@ -150,7 +150,7 @@ def _run_in(window: Window, run: Run, device: Device) -> tuple[int, RunFailure |
         run_notes.note_parted(run.of.scene)
         run_notes.note_wide(run.of.scene)
         run_notes.note_reset(files.recordings, view)
-    begin, words = time.perf_counter(), run_report.words_of(source, options)
+    begin, words, way = time.perf_counter(), run_report.words_of(source, options), sim.way
     with (
         # Outermost: all else that the run leaves is on the disk before anything is tried.
         run_report.written(sim, options, words, files.report),
@@ -179,7 +179,8 @@ def _run_in(window: Window, run: Run, device: Device) -> tuple[int, RunFailure |
     if not options.quiet:
         seconds = time.perf_counter() - begin
         along = beside.twin.later[1] if beside else 0.0
-        print(run_notes.last_line(sim, summary, seconds, errors.waited + along), flush=True)
+        waited = errors.waited + along
+        print(run_notes.last_line(sim, way, summary, seconds, waited), flush=True)
         run_notes.note_refused(summary.refused)
         for note in files.recordings.export.notes() if files.recordings.export else ():
             run_notes.say(f"note: {note}")

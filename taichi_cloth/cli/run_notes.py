@@ -143,10 +143,11 @@ def _first_line(sim: Simulation, device: Device, view: View) -> str:
     )
 
 
-def last_line(sim: Simulation, summary: Summary, seconds: float, waited: float) -> str:
-    """Frames, time a frame, steps a second, and the execution path.
+def last_line(sim: Simulation, way: str, summary: Summary, seconds: float, waited: float) -> str:
+    """Frames, time a frame, steps a second, and the execution path, with that of the start.
 
-    waited: seconds of the frames in which it waited for the error meter, or for a run beside it.
+    way: that of the start. waited: seconds of the frames in which it waited for the error meter,
+    or for a run beside it.
     """
     frames = summary.frames
     if not frames:
@@ -157,7 +158,8 @@ def last_line(sim: Simulation, summary: Summary, seconds: float, waited: float) 
     a_frame = (summary.simulate - waited) / (frames - 1)
     return (
         f"{done}: {milliseconds(a_frame)} ms a frame to simulate after the first, "
-        f"{sim.substeps / a_frame:.4g} steps/s, {sim.way}"
+        f"{sim.substeps / a_frame:.4g} steps/s, "
+        f"{sim.way if way == sim.way else f'{way} first, then {sim.way}'}"
     )
 
 

@@ -69,7 +69,7 @@ def draw(found: Comparison, kind: str) -> bytes:
         axes.text(0.5, 0.5, "the same at all of these times", ha="center", transform=axes.transAxes)
     axes.grid(True, which="major", color="0.88", linewidth=0.6)
     axes.set_axisbelow(True)
-    axes.legend(loc="lower right", fontsize=9)
+    figure.legend(loc="outside lower center", ncols=3, fontsize=9)  # where no curve is
     title = f"A: {_short(found.a)}    B: {_short(found.b)}"
     figure.suptitle(title, fontsize=11, parse_math=False)  # a file's $ is a $
     return file_of(figure, kind)

@@ -151,8 +151,8 @@ class Verdict:
         if not self.growth:
             return "disturbances did not grow"
         if self.ahead > FOREVER:
-            return f"a millionth takes over {FOREVER:.0f} s to grow to it"
-        return f"a millionth grows to it in {self.ahead:.2g} s"
+            return f"a nudge of a millionth takes over {FOREVER:.0f} s to grow to this"
+        return f"a nudge of a millionth grows to this in {self.ahead:.2g} s"
 
     def _part(self, length: float) -> str:
         return percent(length / self.scale, DIGITS)

@@ -40,6 +40,7 @@ def draw(result: Result, rows: Sequence[Row], kinds: Sequence[str]) -> dict[str,
 
     matplotlib.use("Agg")
     from matplotlib.figure import Figure
+    from matplotlib.ticker import FuncFormatter
 
     judged = any(row.judged is not None for row in rows)
     floor = LEAST if judged else result.reference.floor(result.horizon) / result.horizon.scale
@@ -71,8 +72,9 @@ def draw(result: Result, rows: Sequence[Row], kinds: Sequence[str]) -> dict[str,
             transform=of_step.get_yaxis_transform(),
         )  # fmt: skip
     _label_axes(of_time, of_step, rows)
-    what = f"trajectory error (RMS, in parts of {result.horizon.what.split(',')[0]})"
-    of_time.set_ylabel("error of the worst second (RMS, in parts of its motion)" * judged or what)
+    what = f"trajectory error (RMS, in % of {result.horizon.what.split(',')[0]})"
+    of_time.set_ylabel("error of the worst second (RMS, in % of its motion)" if judged else what)
+    of_time.yaxis.set_major_formatter(FuncFormatter(lambda part, _: f"{100 * part:.3g} %"))
     figure.suptitle(_title(result), fontsize=11, parse_math=False)  # a name's $ is a $
     _legend(figure, styles, rows)
     return {kind: file_of(figure, kind) for kind in kinds}

@@ -23,11 +23,12 @@ MOST_POSES = 100  # that one can go back
 class CameraMoves:
     """Moves a camera, and knows its poses before each move.
 
-    drags: what the button that is down does (`inputs.DRAGS`, `ORBIT`); None: nothing.
+    home: its pose at the start. drags: what the button that is down does (`inputs.DRAGS`,
+    `ORBIT`); None: nothing.
     """
 
     def __init__(self, camera: Camera) -> None:
-        self._camera = camera
+        self._camera, self.home = camera, camera.pose
         self._poses: list[tuple[float, ...]] = []
         self._last = ""  # the move that goes on while nothing else is done
         self.drags: str | None = None

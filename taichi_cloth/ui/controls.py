@@ -19,6 +19,7 @@ from taichi_cloth.ui.inputs import (
     DRAGS,
     FARTHER_KEYS,
     FRAME_KEY,
+    HOME_KEY,
     NEARER_KEYS,
     Event,
 )
@@ -108,9 +109,13 @@ class Controls:
 
     def ring(self) -> float | None:
         """How far the tool in hand reaches, world units; None: it has no ring."""
-        if self.tool is None or self.tool.ring is None:
+        if self.tool is None or self.tool.ring is None or not self._hand.over:
             return None
         return self.tool.ring(self._hand)
+
+    def hover(self, over: bool) -> None:
+        """Know whether the pointer is over the world: else no tool points at anything."""
+        self._hand.over = over
 
     def tell(self, notice: str | None) -> None:
         """Tell the user something; None: what was told is no longer so."""
@@ -191,6 +196,13 @@ class Controls:
             raise InputError(f"unknown tool '{name}'; {nearest(name, known)}")
         self._follow(Event("tool", name=name))
 
+    def put_away(self) -> bool:
+        """Put away the tool in hand, for the scene's own; whether there was one."""
+        chosen = bool(self.chosen)
+        if chosen:
+            self.choose("")
+        return chosen
+
     def set(self, name: str, value: live.Value) -> None:
         """Give a setting of `simulation.live` a value, or tell the user why it is refused.
 
@@ -214,6 +226,8 @@ class Controls:
             moves.zoom(1 if key in NEARER_KEYS else -1, event.about)
         elif key == BACK_KEY and moves:
             moves.back()
+        elif key == HOME_KEY and moves:
+            moves.to(moves.home)
         elif key == FRAME_KEY and moves:
             pose = None if replayed else moves.framing(self._hand.sim)
             if pose is not None:

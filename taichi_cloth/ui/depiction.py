@@ -161,7 +161,10 @@ def _with_marks(picture: Picture, marks: Marks) -> Picture:
     if as_spheres is not None:
         as_spheres = np.concatenate([as_spheres, np.ones(len(marks.position), bool)])
     spring_color = picture.spring_color
-    if isinstance(spring_color, np.ndarray):
+    if len(marks.segments) and spring_color is not None:
+        if isinstance(spring_color, tuple):
+            given = np.array(spring_color, np.uint8)
+            spring_color = np.tile(given, (len(picture.segments), 1))
         spring_color = np.concatenate([spring_color, marks.color[marks.segments[:, 0]]])
     return replace(
         picture,

@@ -289,7 +289,7 @@ def help_lines(
     lines += _drags(tool, space=scene.world.dim == 3)
     what = "fill the picture with what there is", "all of the world, or of what left it"
     lines.append(f"f\t{what[0] if scene.world.dim == 3 else what[1]}")
-    lines.append("z\tback to the view before")
+    lines.append("z, home\tback to the view before; to that of the start")
     lines += [
         "o\tsettings, live; up down: choose one, left right: change it",
         "l\tthe last 10 seconds, to go through",
@@ -312,6 +312,6 @@ def help_lines(
         "w\twrite a checkpoint, for run --resume",
         "x\texport the last 10 seconds",
         "tab or f1\tthis list",
-        "escape\tclose what was opened last; else quit",
+        "escape\tclose what was opened last, put the tool away; else quit",
     ]
     return tuple(lines)

@@ -41,6 +41,8 @@ _KEY_NAMES = {
     "Tab": "tab",
     "ISO_Left_Tab": "tab",
     "BackSpace": "backspace",
+    "Home": "home",
+    "KP_Home": "home",
     "Up": "up",
     "Down": "down",
     "Left": "left",
@@ -96,7 +98,8 @@ COMMANDS = {
 }
 # Those that act on the window alone: they work while a log is replayed, too.
 WINDOW_KEYS = COMMANDS.keys() - {"space", RESET_KEY, "u"}
-FRAME_KEY, BACK_KEY = "f", "z"  # of the camera: what there is fills the picture; its pose before
+# Of the camera: what there is fills the picture; its pose before; that of the start.
+FRAME_KEY, BACK_KEY, HOME_KEY = "f", "z", "home"
 DRAGS = {"left": "turn", "right": "pan"}  # what moves the camera by which button
 ORBIT = "orbit"  # what "turn" was in logs of old, and still is there
 NEARER_KEYS, FARTHER_KEYS = ("+", "=", "up"), ("-", "down")
@@ -114,8 +117,9 @@ def key_name(key: str) -> str | None:
 class Event:
     """One thing the user did with mouse or keyboard.
 
-    kind: "move", "press", "release" or "wheel"; "tool" where one is taken up, and "view" where the
-        camera is moved by what is not a key: these say what came of an event before.
+    kind: "move", "press", "release" or "wheel"; "leave" where the pointer left the window, which is
+        in no log; "tool" where one is taken up, and "view" where the camera is moved by what is not
+        a key: these say what came of an event before.
     pos: (x, y) in window pixels, origin top left, y down (None for keys).
     button: "left", "middle" or "right".
     key: lower-case name out of `KEYS` ("space", "ctrl", "f1", ".", "a").

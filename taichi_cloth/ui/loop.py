@@ -394,7 +394,7 @@ class Loop:
     def _obey(self, command: str) -> None:
         state = self.state
         if command == "quit":
-            state.quit = not self._shown.close_last()
+            state.quit = not (self._shown.close_last() or self._controls.put_away())
         elif command == "pause" and state.failure is None:
             state.paused = not state.paused
             self._shown.meter.interrupt()
@@ -495,7 +495,7 @@ class Loop:
         with ExitStack() as files:  # each is tried, also where a disk is full
             self._takes.save(files)
             if image is not None:
-                files.callback(lambda: image.save(self._last_picture()))
+                files.callback(lambda: image.save(self._last_picture(pointed=False)))
             if self._takes.missing:
                 self._take(self._last_picture())
 
@@ -504,15 +504,18 @@ class Loop:
         self.view.draw(self._shown.picture(now=True))
         return self.view.grab()
 
-    def _last_picture(self) -> np.ndarray:
-        """The last frame, (h, w, 3) uint8; drawn off-screen where the user closed the window."""
+    def _last_picture(self, *, pointed: bool = True) -> np.ndarray:
+        """The last frame, (h, w, 3) uint8; drawn off-screen where the user closed the window.
+
+        pointed: with the pointer, as films have it.
+        """
         if not self.view.closed:
             # Anew: since the last frame the user may have done things.
             with suppress(RunFailure):  # the window goes at this very moment
-                self.view.draw(self._shown.picture(now=True))
+                self.view.draw(self._shown.picture(now=True, pointed=pointed))
         if self.view.closed:
             with closing(offscreen(self.view, self.sim.scene.world)) as view:
-                view.draw(self._shown.picture(now=True))
+                view.draw(self._shown.picture(now=True, pointed=pointed))
                 return view.grab()
         return self.view.grab()
 

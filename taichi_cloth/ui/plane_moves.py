@@ -15,7 +15,7 @@ import numpy as np
 
 from taichi_cloth.ui.camera import FILLED
 from taichi_cloth.ui.camera_moves import MOST_POSES, ZOOM_STEP, gathered
-from taichi_cloth.ui.inputs import BACK_KEY, FARTHER_KEYS, FRAME_KEY, NEARER_KEYS, Event
+from taichi_cloth.ui.inputs import BACK_KEY, FARTHER_KEYS, FRAME_KEY, HOME_KEY, NEARER_KEYS, Event
 from taichi_cloth.ui.window_map import Look, WindowMap
 
 if TYPE_CHECKING:
@@ -66,6 +66,9 @@ class PlaneMoves:
         elif key == FRAME_KEY:
             self._note()
             self.look = self._framing(here)
+        elif key == HOME_KEY:
+            self._note()
+            self.look = None
         elif key == BACK_KEY and self._before:
             self.look = self._before.pop()
             self._zooming = False

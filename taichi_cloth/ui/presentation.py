@@ -15,7 +15,7 @@ from taichi_cloth.settings.options import PROGRAM
 from taichi_cloth.ui import hud
 from taichi_cloth.ui.chrome.chrome import Chrome, Contents, key_list
 from taichi_cloth.ui.chrome.contract import Part
-from taichi_cloth.ui.chrome.layout import ROWS, Layout, Rect
+from taichi_cloth.ui.chrome.layout import NOTHING, ROWS, Layout, Rect, arrange
 from taichi_cloth.ui.chrome.meters import Meters
 from taichi_cloth.ui.chrome.timeline_row import TimelineRow
 from taichi_cloth.ui.chrome.toolbar import Button
@@ -120,6 +120,11 @@ class Presentation:
 
     def take(self, event: Event) -> Event | None:
         """What an event means that may be for what is around the world; None: nothing more."""
+        if event.kind == "leave" or event.pos is not None:
+            over = event.pos is not None and self.arranged().world.holds(event.pos)
+            self._controls.hover(over or bool(self._controls.pressed))
+        if event.kind == "leave":
+            return None
         if self._lists_keys and event.kind == "press":
             if COMMANDS.get(event.key or "") == "quit":
                 return event  # it closes the key list, which lies over all else
@@ -206,22 +211,23 @@ class Presentation:
         state = self._state
         return state.pace.slowness > 1 and not state.stopped and not self._takes.filming
 
-    def picture(self, *, now: bool = False) -> Picture:
-        """What is drawn. now: the present frame, also in slow motion."""
+    def picture(self, *, now: bool = False, pointed: bool = True) -> Picture:
+        """What is drawn. now: the present frame, also in slow motion. pointed: with the pointer."""
         part = self._state.pace.part if self.glides and not now else 1.0
         picture = self.depiction.picture(self._controls.marks(), part)
         layout = self.arranged()
         around = self.chrome.overlay(layout, self._contents())
         plain = self._budget is not None and self._budget.plain
-        picture = replace(picture, overlay=around, pointer=self._pointer(), plain=plain)
-        return self._with_second(picture, layout, part) if self.pair else picture
+        pointer = self._pointer() if pointed else None
+        picture = replace(picture, overlay=around, pointer=pointer, plain=plain)
+        return self._with_second(picture, layout, part, pointed) if self.pair else picture
 
-    def _with_second(self, picture: Picture, layout: Layout, part: float) -> Picture:
+    def _with_second(self, picture: Picture, layout: Layout, part: float, pointed: bool) -> Picture:
         """A picture with the second run beside the first."""
         pair, cut = self.pair, halves(layout.world, layout.text)
         assert pair is not None
         first = second = picture.pointer
-        if self._points is not None:  # it is seen in both, also where the cursor is not
+        if pointed and self._points is not None:  # it is seen in both, also where no cursor is
             at = first or Pointer(self._window.shown(self._points), None, False)
             first = replace(at, cross=at.cross or self._window.side == 1)
             second = replace(
@@ -248,7 +254,10 @@ class Presentation:
 
     def arranged(self) -> Layout:
         """Where everything is in the view as it is now; the view draws the world in its room."""
-        layout = self.chrome.layout(self._view.size)
+        # A picture that a key takes shows the world in all of the window, whatever is open.
+        alone = self._takes.shutter.due and not self._takes.filming
+        size = self._view.size
+        layout = arrange(size, NOTHING) if alone else self.chrome.layout(size)
         self._view.room = layout.world
         if self.pair:
             cut = halves(layout.world, layout.text)

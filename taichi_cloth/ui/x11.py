@@ -31,8 +31,8 @@ KINDS = {
     MOTION: "move",
 }
 
-FOCUS_OUT = 10  # as FOCUS_MASK asks for it
-FOCUS_MASK = 1 << 21
+ENTER, LEAVE, FOCUS_OUT = 7, 8, 10  # as these masks ask for them
+BORDER_MASK, FOCUS_MASK = 1 << 4 | 1 << 5, 1 << 21
 EVENT_BYTES = 192  # of any event
 
 PICTURE_BYTES = 4 << 20  # of 1280 x 800 pixels; the system may allow less
@@ -279,11 +279,14 @@ class Connection:
         self._root = x.XDefaultRootWindow(self._display)
         self.window = self._find(self._root, title.encode(), 0)
         self._read: list[_Event] = []
+        self._leaves = False  # whether the pointer went out of the window, and nobody was told
         self._stop: KeyboardInterrupt | None = None  # an interrupt that came as Xlib read events
         if not self.window:
             self.close()
             raise OSError(f"no window is called {title!r}")
-        x.XSelectInput(self._display, self.window, FOCUS_MASK)  # ti.GUI asks for no such event
+        x.XSelectInput(
+            self._display, self.window, BORDER_MASK | FOCUS_MASK
+        )  # ti.GUI asks for no such event
         x.XSync(self._display, 0)
 
     def listen(self) -> bool:
@@ -374,13 +377,21 @@ class Connection:
     def lost_focus(self) -> bool:
         """Whether another window got the keyboard since the last call, be it for a moment.
 
-        Keys that were down then are let go where we do not see it.
+        Keys that were down then are let go where we do not see it. It also looks where the
+        pointer goes (`leaves`).
         """
         lost, event = False, ctypes.create_string_buffer(EVENT_BYTES)
         while not self._is_broken() and self._x.XPending(self._display):
             self._x.XNextEvent(self._display, event)
-            lost = lost or _int.from_buffer(event).value == FOCUS_OUT
+            kind = _int.from_buffer(event).value
+            lost = lost or kind == FOCUS_OUT
+            self._leaves = kind == LEAVE or (self._leaves and kind != ENTER)
         return lost
+
+    def leaves(self) -> bool:
+        """Whether the pointer left the window since the last call; `lost_focus` looks."""
+        leaves, self._leaves = self._leaves, False
+        return leaves
 
     def _is_broken(self) -> bool:
         return bool(_CUT.intersection((self._display, *self._displays)))

@@ -203,7 +203,8 @@ class SettingsPanel:
         said = self._costs.of(one, row.number).said
         if one.kind == live.FLAG:
             said += _waiting(one.compiles(self._sim, not row.number))
-        return said, one.help
+        named = one.unit not in ("", "1", live.TIMES)
+        return said, f"{one.help} ({one.unit}, in the scene's units)" if named else one.help
 
     def _anew(
         self, rect: Rect, height: int, note: tuple[str, str], lines: list[list[str]]

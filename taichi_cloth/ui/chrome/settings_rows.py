@@ -217,15 +217,14 @@ def at(one: Setting, part: float) -> Value:
 
 
 def shown(one: Setting, value: Value) -> str:
-    """A value as it is written, with its unit."""
+    """A value as it is written; its unit is said at the foot."""
     if value is None:
         return "off"
     if isinstance(value, bool):
         return "on" if value else "off"
     if isinstance(value, str):
         return marked(value)
-    unit = f" {one.unit}" if len(one.unit) <= 8 and one.unit else ""
-    return f"{value:.4g}{unit}"
+    return f"{value:.4g} {live.TIMES}" if one.unit == live.TIMES else f"{value:.4g}"
 
 
 def marked(word: str) -> str:

@@ -73,6 +73,17 @@ class Marks:
     segments: np.ndarray
     on: np.ndarray | None = None
 
+    def joined(self, other: Marks) -> Marks:
+        """Both, where all that this one has is drawn at particles of the scene."""
+        first, second = (np.zeros(0, int) if m.on is None else m.on for m in (self, other))
+        return Marks(
+            position=np.concatenate([self.position, other.position]),
+            radius=np.concatenate([self.radius, other.radius]),
+            color=np.concatenate([self.color, other.color]),
+            segments=np.concatenate([self.segments, len(self.position) + other.segments]),
+            on=np.concatenate([first, second]),
+        )
+
 
 @dataclass
 class Hand:
@@ -83,7 +94,8 @@ class Hand:
     pointer: (2,) window pixels, where the pointer is; None before it moved.
     held: the names of the keys that are down, out of "ctrl" and the tool's modifiers.
     other: another run of the scene, beside the first, that the pointer is over; None: it is not.
-    told: what to tell the user, and how many such words there were: the same again is told again.
+    over: whether the pointer is over the world. told: what to tell the user, and how many such
+        words there were: the same again is told again.
     """
 
     sim: Simulation
@@ -92,6 +104,7 @@ class Hand:
     pointer: np.ndarray | None = None
     held: set[str] = field(default_factory=set)
     other: Simulation | None = None
+    over: bool = True
     told: tuple[str | None, int] = None, 0
 
     @property
@@ -171,11 +184,25 @@ class Hand:
         at = np.array(pixel, np.float64)
         return picking.particle_at(self.seen, self.camera, self.window, at, among, near)
 
+    def pointed(self, among: np.ndarray | None = None) -> int | None:
+        """The particle that a click here and now would mean (`particle_near`); None: none."""
+        if self.pointer is None or not self.over:
+            return None
+        return self.particle_near((float(self.pointer[0]), float(self.pointer[1])), among)
+
     @property
     def in_pixels(self) -> bool:
         """Whether the world is measured in pixels, as the original's."""
         world = self.sim.scene.world
         return world.up != "y" and min(world.size[:2]) >= FEWEST_PIXELS
+
+    def mark(self, particle: int | None) -> Marks | None:
+        """What shows in the picture that a click would take a particle; None: it takes none."""
+        if particle is None:
+            return None
+        place, none = self.sim.positions()[[particle]], np.zeros((0, 2), np.int64)
+        radius = np.array([max(1.5 * self.dot(), 1.2 * float(self.sim.radii()[particle]))])
+        return Marks(place, radius, np.array([MARK], np.uint8), none, on=np.array([particle]))
 
     def dot(self) -> float:
         """The radius of what a tool marks, world units: in 3-D of what the camera looks at."""
@@ -200,6 +227,7 @@ LONGEST_NAME = 8
 OUTSIDE = "that is outside the world: click inside it"
 REACH = 1 / 8  # of the picture's shorter side
 DOT = 4.0  # pixels: the radius of what a tool marks
+MARK = (255, 236, 190)  # of what a click would take
 FEWEST_PIXELS = 100.0  # a shorter side, where y points down, is not in pixels
 
 M = TypeVar("M")  # what a tool remembers

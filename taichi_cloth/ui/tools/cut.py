@@ -10,7 +10,18 @@ from taichi_cloth.files.events import indices
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.ui import picking
 from taichi_cloth.ui.inputs import Event
-from taichi_cloth.ui.tools.contract import Events, Hand, LoggedEvent, Tool, ToolEvent, prepared
+from taichi_cloth.ui.tools.contract import (
+    MARK,
+    Events,
+    Hand,
+    LoggedEvent,
+    Marks,
+    Tool,
+    ToolEvent,
+    prepared,
+)
+
+NEAR = 5.0  # pixels: half of the way of which it is drawn what it would cut
 
 
 @dataclass
@@ -47,6 +58,26 @@ def _release(hand: Hand, memory: _Memory, event: Event) -> Events:
     return made
 
 
+def _draw(hand: Hand, memory: _Memory) -> Marks | None:
+    """The springs that a short way from here would cross."""
+    if hand.pointer is None or not hand.over:
+        return None
+    here = hand.pointer
+    ways = (np.array([NEAR, NEAR]), np.array([NEAR, -NEAR]))
+    crossed = [
+        picking.springs_across(hand.seen, hand.camera, hand.window, here - way, here + way)
+        for way in ways
+    ]
+    near = np.unique(np.concatenate(crossed))
+    if len(near) == 0:
+        return None
+    ends = hand.sim.springs()[near].reshape(-1)
+    segments = np.arange(len(ends)).reshape(-1, 2)
+    color = np.tile(np.array(MARK, np.uint8), (len(ends), 1))
+    radius = np.full(len(ends), 0.5 * hand.dot())
+    return Marks(hand.sim.positions()[ends], radius, color, segments, on=ends)
+
+
 TOOL = Tool(
     name="cut",
     help="cut springs",
@@ -58,6 +89,7 @@ TOOL = Tool(
     press=_press,
     release=_release,
     prepare=prepared,
+    draw=_draw,
     events=(
         LoggedEvent(
             "cut", {"springs": indices}, lambda sim, values: sim.cut(list(values["springs"]))

@@ -87,10 +87,13 @@ def _release(hand: Hand, memory: _Memory, event: Event) -> Events:
 
 
 def _draw(hand: Hand, memory: _Memory) -> Marks | None:
-    """A line from each particle that is held to where it is held, and the pointer's place."""
+    """A line from each particle that is held to where it is held, and the pointer's place.
+
+    While none is, the one that a press would take.
+    """
     held = hand.sim.held()
     if held is None:
-        return None
+        return hand.mark(hand.pointed(~hand.sim.fixed()))
     count = len(held.particles)
     position = np.concatenate([held.targets, held.targets])  # the first of them `on` particles
     radius = np.append(np.zeros(count), np.full(count, hand.dot()))

@@ -35,13 +35,17 @@ def _press(hand: Hand, memory: None, event: Event) -> Events:
 
 
 def _draw(hand: Hand, memory: None) -> Marks | None:
-    """A dot at each particle that is pinned: where a surface is drawn, nothing else is grey."""
-    pinned = np.flatnonzero(hand.sim.fixed())
+    """A dot at each particle that is pinned: where a surface is drawn, nothing else is grey.
+
+    A larger one is at the particle that a click would take.
+    """
+    pinned, chosen = np.flatnonzero(hand.sim.fixed()), hand.mark(hand.pointed())
     if len(pinned) == 0:
-        return None
+        return chosen
     radius, none = np.full(len(pinned), hand.dot()), np.zeros((0, 2), np.int64)
     color = np.tile(np.array(COLOR, np.uint8), (len(pinned), 1))
-    return Marks(hand.sim.positions()[pinned], radius, color, none, on=pinned)
+    marks = Marks(hand.sim.positions()[pinned], radius, color, none, on=pinned)
+    return marks if chosen is None else marks.joined(chosen)
 
 
 def _pin(sim: Simulation, values: Mapping[str, Any]) -> None:

@@ -123,7 +123,11 @@ class GguiView:
         if self._tap and self._listens:
             self._window.get_events()  # which came, and where, X says better
             events = [*said_by_x(self._tap.inputs(), self.size, self._held)]
-            return fewest_moves(events + (released(self._held) if self._tap.lost_focus() else []))
+            if self._tap.lost_focus():
+                events += released(self._held)
+            if self._tap.leaves():
+                events.append(Event("leave"))
+            return fewest_moves(events)
         return self._reported()
 
     def _reported(self) -> list[Event]:

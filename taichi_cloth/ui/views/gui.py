@@ -171,6 +171,8 @@ class GuiView:
             return []
         if self._tap and self._tap.lost_focus():
             out += released(self._held)
+        if self._tap and self._tap.leaves():
+            out.append(Event("leave"))
         self._follow_resize()
         return fewest_moves(out)
 
