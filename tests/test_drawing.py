@@ -18,7 +18,7 @@ from taichi_cloth.scene.model import Particles, Scene, World
 from taichi_cloth.scene.palette import FIXED_COLOR
 from taichi_cloth.settings.options import shown_parts
 from taichi_cloth.simulation.simulation import Simulation
-from taichi_cloth.ui import app, interaction, shown, style, surfaces
+from taichi_cloth.ui import app, depiction, interaction, shown, style, surfaces
 from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.depiction import Depiction
 from taichi_cloth.ui.framing import camera_of, window_of
@@ -171,6 +171,17 @@ def test_what_clicks_put_into_a_scene_in_metres_is_seen(dim):
         else picture.radius[2:]
     )
     assert 3.0 < float(drawn[0]) * scale < 8.0
+
+
+@pytest.mark.parametrize("name", ["net", "warp", "shirt"])
+def test_what_has_no_floor_floats_in_no_void(name):
+    """A floor is drawn under all that is seen from the start; nothing changes in the world."""
+    scene = library.build(name)
+    height, camera = depiction._ground(scene), camera_of(scene)
+    assert scene.world.ground is None and height < scene.particles.position[:, 1].min()
+    assert camera.is_above(height)
+    assert depiction._ground(library.build("flag")) == 0.0
+    assert depiction._ground(library.build("cloth")) is None
 
 
 def test_closed_bodies_are_drawn_as_they_are():

@@ -14,7 +14,7 @@ from taichi_cloth.ui.between import Between
 from taichi_cloth.ui.chrome.errors import Errors
 from taichi_cloth.ui.chrome.messages import Meanings
 from taichi_cloth.ui.drawing import Cached
-from taichi_cloth.ui.framing import camera_of
+from taichi_cloth.ui.framing import camera_of, points_up
 from taichi_cloth.ui.ghosts import Ghosts
 from taichi_cloth.ui.solids import Solids
 from taichi_cloth.ui.strained import Strained
@@ -48,6 +48,7 @@ class Depiction:
         self._radius = Cached(_drawn_radius)
         largest = float(sim.scene.particles.radius.max(initial=0.0))
         self._discs = _largest_disc(sim.scene), largest
+        self._ground = _ground(sim.scene)
         self._came = len(sim.scene.particles), _least_spawned(sim.scene)
         self._chosen = Cached(shown.chosen)
         self._surface_colors = Cached(shown.surface_colors)
@@ -104,7 +105,7 @@ class Depiction:
             normals=normals,
             as_spheres=as_spheres,
             solids=self._solids.of(sim, sim.time if part >= 1 else between.time(sim, part)),
-            ground=sim.scene.world.ground if sim.scene.world.dim == 3 else None,
+            ground=self._ground,
         )
         reading = self._errors.ghost() if self._errors else None
         if reading is not None and reading.away is not None:
@@ -139,6 +140,21 @@ def _drawn_radius(
     drawn: np.ndarray = np.where(radius > usual, radius, np.minimum(radius, most))
     drawn[came:] = np.maximum(drawn[came:], least)
     return drawn.astype(np.float32)
+
+
+def _ground(scene: Scene) -> float | None:
+    """The height of the floor that is drawn in space; None: none is.
+
+    Where y points up and there is none, it lies under what is seen from the start, which would else
+    float in a void. Nothing rests on that one.
+    """
+    world = scene.world
+    if world.dim == 2 or world.ground is not None or not points_up(world):
+        return world.ground if world.dim == 3 else None
+    if any(one.shape == "plane" for one in scene.obstacles):
+        return None
+    camera = camera_of(scene)
+    return float(camera.centre[1] - camera.radius) if camera else None
 
 
 def _least_spawned(scene: Scene) -> float:
