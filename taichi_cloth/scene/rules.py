@@ -51,6 +51,11 @@ CHANGES = (
         _assumes("world.dt", "world.substeps"),
         unless="dt",
     ),
+    Change(
+        2,
+        "the contact of sandbox's discs",
+        lambda scene: scene.name == "sandbox" and scene.world.contact == "resting",
+    ),
 )
 
 
