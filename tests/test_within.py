@@ -13,11 +13,12 @@ from selection import thorough
 
 from taichi_cloth import runtime
 from taichi_cloth.cli.main import main
+from taichi_cloth.errors import InputError
 from taichi_cloth.limits import eigenmodes
 from taichi_cloth.scene import library
 from taichi_cloth.scene.fingerprint import scene_hash
 from taichi_cloth.scene.source import SceneSource
-from taichi_cloth.settings.sweeps import TradeOptions
+from taichi_cloth.settings.sweeps import TradeOptions, TuneOptions
 from taichi_cloth.stability import command as stability
 from taichi_cloth.stability import experiment
 from taichi_cloth.sweeps.identity import of_scene
@@ -266,6 +267,22 @@ def test_what_has_nothing_in_time_asks_for_more(words, tmp_path, monkeypatch, ca
     assert main([*words, "oscillator", "--quick"]) == 2
     says = "--within 60 s: not one setting was finished by then; give more time, or fewer --frames"
     assert capsys.readouterr().err == f"taichi-cloth: error: {says}\n"
+
+
+def test_a_run_that_would_end_too_late_is_told_by_its_first_frames(tmp_path, monkeypatch):
+    """Of 300 frames at a second each nothing fits in a minute: it says what one takes."""
+    source, options = SceneSource("oscillator"), TuneOptions.from_given({"quick": True})
+    scene, chosen, how = command.prepare(source, options)
+    hand = Hand()
+    how = replace(how, clock=Clock(60.0, hand), references=False, whole=True)
+    machine = Machine(hand, how.clock, 1.0, 1.0)
+    monkeypatch.setattr(runner, "TrialProcess", machine.process)
+    with command.measured(source, options, scene, chosen, how, closed=False, quiet=True) as result:
+        assert not result.outcomes and result.longest == 300.0
+        assert {frames for _, frames, _ in machine.sampled} == {4}
+        says = "one takes 300 s for 300 frames; use about --within 51min, or fewer --frames"
+        with pytest.raises(InputError, match=says):
+            result.check_some(how.clock)
 
 
 @pytest.mark.parametrize(("begun", "then"), [(20.0, 600.0), (20.0, None), (None, 60.0)])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -212,10 +211,3 @@ def windows_of(scene: Scene, outcome: Outcome) -> list[Window]:
         window.shown += list(x[first + stride : first + frames + 1 : stride].astype(window.real))
         windows.append(window)
     return windows
-
-
-def rounded_up(seconds: float) -> str:
-    """A time that is enough, as `--within` takes it: '40s', '3min'."""
-    if seconds <= 90:
-        return f"{10 * math.ceil(seconds / 10)}s"
-    return f"{math.ceil(seconds / 60)}min"

@@ -21,7 +21,7 @@ import numpy as np
 from taichi_cloth import console
 from taichi_cloth.advice.choice import Choice, Figures, Target, is_measured
 from taichi_cloth.advice.horizon import in_seconds, say_horizon
-from taichi_cloth.advice.judges import Judges, rounded_up
+from taichi_cloth.advice.judges import Judges
 from taichi_cloth.error_meter.window import LEAST
 from taichi_cloth.errors import InputError, clipped, counted
 from taichi_cloth.files.names import name_for_file
@@ -37,7 +37,7 @@ from taichi_cloth.sweeps.cluster import connected
 from taichi_cloth.sweeps.identity import of_scene
 from taichi_cloth.sweeps.journal import Journal, kept
 from taichi_cloth.sweeps.tasks import Elsewhere
-from taichi_cloth.sweeps.within import Clock, said_of_left_out
+from taichi_cloth.sweeps.within import Clock, rounded_up, said_of_left_out
 from taichi_cloth.trade import command, reference, rows
 from taichi_cloth.trade.conditions import RunConditions
 from taichi_cloth.trade.errors import touches_anything
@@ -49,6 +49,7 @@ from taichi_cloth.trade.settings import Setting
 # scene has by itself (root of the mean square).
 KICK = 0.1
 RUNS = 0.4  # of the time there is: what the runs may take that are chosen from
+DEARER = 2.0  # times as long as those that were judged: the settings that were not, which are finer
 CHOICE = 0.7  # the same with judging them, before the choice is confirmed
 BATCH = 3  # times as many as were tried before are confirmed beside each other
 UNTRIED = "the confirmation of"  # how the line begins that says that there was no time for some
@@ -218,8 +219,8 @@ class _Tuning:
         )
 
     def _needed(self, choice: Choice) -> str:
-        """The time that would do, from what was judged until now."""
-        each = self.judges.spent / max(self.judges.settings, 1)
+        """The time that would do, from what was judged until now: the rest takes longer."""
+        each = DEARER * self.judges.spent / max(self.judges.settings, 1)
         runs = RUNS * self.how.clock.seconds
         return rounded_up((runs + each * len(choice.usable)) / CHOICE)
 

@@ -119,3 +119,10 @@ def seconds_of(within: str) -> float:
     if not LEAST <= seconds <= MOST:
         raise InputError(f"--within must be {LEAST:g}s to 7 days, is '{clipped(within)}'")
     return seconds
+
+
+def rounded_up(seconds: float) -> str:
+    """A time that is enough, as --within takes it: '40s', '3min'."""
+    if seconds <= 90:
+        return f"{10 * math.ceil(seconds / 10)}s"
+    return f"{math.ceil(seconds / 60)}min"

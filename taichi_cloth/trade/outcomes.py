@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from taichi_cloth.errors import InputError, RunFailure
+from taichi_cloth.errors import InputError, RunFailure, counted
 from taichi_cloth.measuring.worker import ENDED, WorkerFailed
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.sweeps.within import Clock
+from taichi_cloth.sweeps.within import Clock, rounded_up
 from taichi_cloth.trade import reference
 from taichi_cloth.trade.errors import Samples
 from taichi_cloth.trade.settings import Setting
@@ -22,6 +22,7 @@ LOST_REMEDY = (
     "see that there is memory, and room for temporary files (TMPDIR) and in the folder of "
     "--output, and start again"
 )
+LONGER = 10.0  # times a run: a few of them, their timing, and how wrong they are
 UNTIMED_REMEDY = "see that the scheduler and a worker there answer, and --resume"
 
 
@@ -69,7 +70,8 @@ class Result:
     outcomes: of the settings, in their order; converged: those with a converged solver, by setting.
     interrupted: by what, which the caller raises once it has kept what was finished; None: whole.
     frames: that settings ran, None where none was to begin.
-    clock: the time that it had; left_out: what did not fit in it, a line each.
+    clock: the time that it had; left_out: what did not fit in it, a line each. longest: seconds of
+    the shortest run that was known not to fit.
     """
 
     scene: Scene
@@ -81,13 +83,19 @@ class Result:
     frames: int | None = None
     clock: Clock = field(default_factory=Clock)
     left_out: list[str] = field(default_factory=list)
+    longest: float = 0.0
 
     def check_some(self, asked: Clock) -> None:
         """Raise InputError where the time that was asked for was over before there was anything."""
         if not self.outcomes and not self.interrupted and asked.limited:
+            more = "give more time"
+            if self.longest:
+                needed = rounded_up(asked.seconds + LONGER * self.longest)
+                frames = counted(self.frames or 0, "frame")
+                more = f"one takes {self.longest:.3g} s for {frames}; use about --within {needed}"
             raise InputError(
-                f"--within {asked.describe()}: not one setting was finished by then; "
-                "give more time, or fewer --frames"
+                f"--within {asked.describe()}: not one setting was finished by then; {more}, or "
+                "fewer --frames"
             )
 
     def check_whole(self) -> None:

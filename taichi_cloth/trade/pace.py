@@ -56,6 +56,7 @@ class Pace:
         self.clock = clock
         self._lock = threading.Lock()
         self._compiled: dict[int, float] = {}  # by kind, the longest seconds so far
+        self.longest = 0.0  # seconds of a run that is known beforehand not to fit
         self.found = False  # whether there is a row to show: a setting with its error and its time
 
     @property
@@ -108,6 +109,14 @@ class Pace:
             return not self.over(True)
         hope = HOPE if self.found else 1.0
         return hope * self.to_compile(method) < self.clock.left()
+
+    def is_too_long(self, run: float) -> bool:
+        """Whether a run of so many seconds ends after the time does; note it, if so."""
+        with self._lock:
+            late = self.clock.limited and run > self.clock.left()
+            if late:
+                self.longest = min(run, self.longest or run)
+        return late
 
     def share(self, methods: int) -> float:
         """Seconds that the first of so many methods of a process may take."""

@@ -211,7 +211,7 @@ class Study:
 
     def _say_left_out(self, result: Result) -> None:
         """Note in a result the time that there was, and what was left out for it."""
-        result.clock = self.how.clock
+        result.clock, result.longest = self.how.clock, self._pace.longest
         result.left_out = left_out(result.clock, self.settings, result.outcomes)
         if self._asked < self._wished:
             lacking = f"frames {self._asked + 1} to {self._wished}"
@@ -376,7 +376,7 @@ class Study:
             if outcome is None:
                 made = bool(process.about(setting.method))
                 fits = share.fits(setting) if ran else self._pace.fits(setting.method, made)
-                if not fits:
+                if not fits or (not ran and self._is_too_long(process, scene, setting, frames)):
                     continue
                 outcome = self._sample(process, scene, setting, frames)
                 if not made:
@@ -386,6 +386,15 @@ class Study:
                 ran = True
             outcomes.append(outcome)
         return outcomes
+
+    def _is_too_long(
+        self, process: TrialProcess, scene: Scene, setting: Setting, frames: int
+    ) -> bool:
+        """Whether a run of the whole horizon ends after the time does, by its first frames."""
+        if not (self.how.whole and self.how.clock.limited and frames > FIRST[-1]):
+            return False
+        few = self._sample(process, scene, setting, FIRST[-1])
+        return self._pace.is_too_long(few.sampled_in / FIRST[-1] * frames)
 
     def _plan(self, process: TrialProcess, first: Setting) -> None:
         """Cut the horizon to what can be compared in the time there is, by a first timing; where a
