@@ -27,6 +27,9 @@ from taichi_cloth.cli.main import main
 from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.files import pending
 from taichi_cloth.kernels import methods
+from taichi_cloth.limits.bounds import any_geometry, grows_within
+from taichi_cloth.limits.eigenmodes import stable_step
+from taichi_cloth.limits.network import Network
 from taichi_cloth.measuring.timing import Quiet
 from taichi_cloth.measuring.worker import Worker, WorkerFailed
 from taichi_cloth.scene import library
@@ -990,6 +993,24 @@ def test_default_settings_follow_from_the_claims():
     again = [s for s in both if s.lacks_fast_math]
     assert {replace(s, fast_math=True) for s in again} == {s for s in chosen if s.fast_math}
     assert len(both) == len(chosen) + len(again)
+
+
+@pytest.mark.parametrize("name", ["cloth", "curtain", "slinky"])
+def test_nothing_is_planned_that_is_known_to_be_unstable(name):
+    """Neither around the start, nor first what may become so as springs turn."""
+    sides = {} if name == "slinky" else {"columns": 10, "rows": 9}
+    scene = library.build(name, **sides)
+    network = Network.from_scene(scene)
+    bounds = any_geometry(network)
+    for setting in settings.choose(scene, TradeOptions(quick=True)):
+        method = methods.load(setting.method)
+        assert setting.step <= (1 + 1e-9) * stable_step(method, network, exact=False).dt
+    for method in ("verlet", "rk4"):
+        asked = TradeOptions(methods=method, precisions="f64", quick=True)
+        first, *rest = settings.choose(scene, asked)
+        assert not grows_within(methods.load(method), bounds, first.step)
+        doubtful = [s for s in rest if grows_within(methods.load(method), bounds, s.step)]
+        assert rest[len(rest) - len(doubtful) :] == doubtful
 
 
 @pytest.mark.parametrize(

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from taichi_cloth.errors import InputError, clipped, counted, nearest
-from taichi_cloth.limits.bounds import Bounds, any_geometry, step_within
+from taichi_cloth.limits.bounds import any_geometry, step_within
+from taichi_cloth.limits.eigenmodes import stable_step
 from taichi_cloth.limits.modes import ROUND_OFF
 from taichi_cloth.limits.network import Network
 from taichi_cloth.scene.model import Scene
@@ -27,7 +28,7 @@ DOUBLINGS = 6  # of the number of substeps, from the fewest that a method takes
 SHORT_DOUBLINGS = 4
 ITERATIONS = (1, 4, 16)  # sweeps a step, of methods that take their number
 SHORT_ITERATIONS = (1, 8)
-MOST_NEEDED = 4096  # substeps: a method that needs more is compared where it is named
+FAR_MORE = 16  # times as many substeps as another method: who needs them is compared where named
 CONVERGED_TOLERANCE = 1e-13  # relative residual, in f64
 CONVERGED_ITERATIONS = 256
 # Scenes with fewer particles run on the graph: lanes compile three times as long for little speed.
@@ -112,8 +113,8 @@ def choose(scene: Scene, options: ComparisonOptions, time: Clock | None = None) 
     time: for which they are planned, in the place of the options'.
 
     Where the number of substeps is left open, it doubles from the fewest that are stable, as the
-    limit is known. Methods that are stable at no step, or need too many, are compared where they
-    are named. Of the numbers of substeps asked for, those that may be too few come last.
+    limit is known. Methods that are stable at no step, or need far more of them than others, are
+    compared where they are named. Numbers that springs may make too few as they turn come last.
     """
     from taichi_cloth.kernels import methods
 
@@ -127,7 +128,8 @@ def choose(scene: Scene, options: ComparisonOptions, time: Clock | None = None) 
     iterations = _numbers("--iterations", options.iterations, "iterations")
     tolerances = _numbers("--tolerances", options.tolerances, "tolerance")
     dt = options.dt or scene.world.dt
-    bounds = any_geometry(Network.from_scene(scene))
+    needs = _needs(scene, dt, names)
+    least = max(1.0, min((n.here for n in needs.values() if n.ever and n.here), default=1.0))
 
     settings: list[Setting] = []
     for method in names:
@@ -138,12 +140,11 @@ def choose(scene: Scene, options: ComparisonOptions, time: Clock | None = None) 
             sweeps = iterations or (SHORT_ITERATIONS if short else ITERATIONS)
         if "tolerance" in takes:
             residuals = tolerances or [None]
-        stable = step_within(methods.load(method), bounds)
-        needed = dt / (stable or growing_step(bounds))
-        if not (options.methods or (stable and needed <= MOST_NEEDED)):
+        need = needs[method]
+        if not options.methods and not (need.ever and need.here <= FAR_MORE * least):
             continue
-        counts = sorted(asked, key=lambda count: (count < needed, count))
-        counts = counts or _doubling(needed, short)
+        counts = asked or _doubling(need.here, short)
+        counts = sorted(counts, key=lambda count, sure=need.sure: (count < sure, count))
         for arch in archs:
             for precision, fast_math in _maths(precisions, options.without_fast_math):
                 settings += [
@@ -200,14 +201,36 @@ def converged(setting: Setting) -> Setting | None:
     )
 
 
-def growing_step(bounds: Bounds) -> float:
-    """A step at which a method that is stable at none grows slowly: that at which dt omega is 2."""
-    return 2.0 / max(math.sqrt(bounds.omega2), bounds.damping)
+class Need(NamedTuple):
+    """The substeps that a method needs to be stable: at the start, and however springs turn; and
+    whether it ever is (else those with which it grows slowly).
+    """
+
+    here: float
+    sure: float
+    ever: bool
+
+
+def _needs(scene: Scene, dt: float, names: Sequence[str]) -> dict[str, Need]:
+    """What each method needs; of many particles the bound for every geometry stands for both."""
+    from taichi_cloth.kernels import methods
+
+    network = Network.from_scene(scene)
+    bounds, needs = any_geometry(network), {}
+    for name in names:
+        method = methods.load(name)
+        within = step_within(method, bounds)
+        sure = dt / (within or 2.0 / max(math.sqrt(bounds.omega2), bounds.damping))
+        here = sure
+        if within and sure > 1 and len(scene.particles) <= FEW_PARTICLES:
+            here = min(sure, dt / stable_step(method, network, exact=False).dt)
+        needs[name] = Need(here * (1 - ROUND_OFF), sure * (1 - ROUND_OFF), within > 0)
+    return needs
 
 
 def _doubling(needed: float, short: bool) -> list[int]:
     """Numbers of substeps, where at least `needed` are stable."""
-    fewest = max(1, math.ceil(needed * (1 - ROUND_OFF)))
+    fewest = max(1, math.ceil(needed))
     return [fewest << k for k in range(SHORT_DOUBLINGS if short else DOUBLINGS)]
 
 
