@@ -12,6 +12,7 @@ from taichi_cloth.errors import InputError
 from taichi_cloth.scene import library, rules, scenefile
 from taichi_cloth.scene.assignments import read as assignment
 from taichi_cloth.scene.model import ParticleDefaults, World
+from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import RunOptions
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.version import __version__
@@ -276,3 +277,98 @@ def test_logs_of_sandbox_are_of_the_rule_by_which_its_discs_touch():
     rules.refuse_changed(resting, rules.NOTED, "a log")
     rules.refuse_changed(resting.with_world(contact="original"), {}, "a log")
     rules.refuse_changed(library.build("box"), {}, "a log")
+
+
+def panel(folder, unit, name="panel.obj"):
+    """A rectangle of 0.6 by 0.7 m, 13 by 15 vertices, in a unit of so many metres."""
+    rows = [
+        f"v {0.05 * i / unit:.12g} {0.05 * j / unit:.12g} 0" for j in range(15) for i in range(13)
+    ]
+    cells = [j * 13 + i + 1 for j in range(14) for i in range(12)]
+    faces = [f"f {n} {n + 1} {n + 14} {n + 13}" for n in cells]
+    (folder / name).write_text("\n".join([*rows, *faces, ""]))
+    return str(folder / name)
+
+
+def hung(file, *assigned):
+    return SceneSource(file, {}, tuple(map(assignment, assigned))).build()
+
+
+@pytest.mark.parametrize(
+    ("unit", "scale", "words"),
+    [
+        (0.001, "0.001", "it is 700 m large, .*: if it is in millimetres, "),
+        (0.01, "0.01", "it is 70 m large, .*: if it is in centimetres, "),
+        (0.0254, "0.0254", "it is 27.6 m large, .*: if it is in inches, "),
+        (100.0, "100", "it is 0.007 m large, and garments are about 1 m: "),
+    ],
+)
+def test_a_garment_in_other_units_is_told_of_and_hangs_as_in_metres_once_it_is_scaled(
+    tmp_path, unit, scale, words
+):
+    metres, other = hung(panel(tmp_path, 1.0)), panel(tmp_path, unit, "other.obj")
+    assert not metres.notes
+    (note,) = hung(other).notes
+    flag = f"--set meshes[0].scale={scale}"
+    assert re.search(words + re.escape(flag), note) and note.endswith(f"{flag} makes it 0.7 m")
+    scene = hung(other, flag.removeprefix("--set "))
+    assert not scene.notes
+    assert (scene.particles.fixed == metres.particles.fixed).all()
+    close = {"rtol": 1e-9, "atol": 1e-12}  # as many digits as the file has
+    np.testing.assert_allclose(scene.world.size, metres.world.size, **close)
+    for name in ("position", "mass", "radius", "thickness", "viscous"):
+        here, there = (getattr(of.particles, name) for of in (scene, metres))
+        np.testing.assert_allclose(here, there, **close)
+    for name in ("stiffness", "rest_length", "damping"):
+        here, there = (getattr(of.springs, name) for of in (scene, metres))
+        np.testing.assert_allclose(here, there, **close)
+    np.testing.assert_allclose(scene.stencils.bending, metres.stencils.bending, **close)
+    assert (scene.world.dt, scene.world.substeps) == (1 / 60, "auto")
+
+
+@pytest.mark.parametrize(
+    ("assigned", "held"),
+    [
+        (["meshes[0].turn=[0,90,0]"], 13),  # still the upper edge
+        (["meshes[0].turn=[0,0,90]"], 15),  # a side, now the upper one
+        (["meshes[0].turn=[90,0,0]"], 13),  # it lies
+        (["meshes[0].turn=[0,0,180]", "meshes[0].move=[3,0.75,0.5]"], 13),
+        (["meshes[0].scale=2", "meshes[0].move=[3,0.2,-9]"], 13),
+    ],
+)
+def test_pins_and_world_follow_from_the_mesh_as_it_is_placed(tmp_path, assigned, held):
+    scene = hung(panel(tmp_path, 1.0), *assigned)
+    x, fixed, size = (
+        scene.particles.position,
+        scene.particles.fixed,
+        np.ptp(scene.particles.position, axis=0),
+    )
+    assert fixed.sum() == held
+    axis, way = (1, 1) if size[1] > 1e-6 else (2, -1)  # the highest, else the farthest
+    assert (way * x[fixed, axis]).min() > (way * x[~fixed, axis]).max()
+    low, high = scene.world.low, scene.world.high
+    assert (x >= low).all() and (high[:2] - x.max(axis=0)[:2] >= 0.99 * size.max()).all()
+    if "move" in " ".join(assigned):
+        np.testing.assert_allclose(x[0], assignment(assigned[-1]).value, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("assigned", "says"),
+    [
+        ("meshes[0].scale=-1", r"^--set meshes\[0\].scale: scale must be positive and finite"),
+        ("meshes[0].scale=big", r"^--set meshes\[0\].scale: scale must be a number"),
+        ("meshes[0].turn=[90,0]", r"^--set meshes\[0\].turn: turn must have 3 numbers"),
+        ("meshes[0].move=[-9,0,0]", "is outside the world"),
+    ],
+)
+def test_a_placing_that_makes_no_sense_is_refused_by_its_flag(tmp_path, assigned, says):
+    with pytest.raises(InputError, match=says):
+        hung(panel(tmp_path, 1.0), assigned)
+
+
+def test_a_garment_in_millimetres_runs_once_it_is_scaled(cli, tmp_path):
+    file = panel(tmp_path, 0.001)
+    out, err = cli("run", file, "--headless", "--frames", 5, "--set", "meshes[0].scale=0.001")
+    assert "5 frames" in out and "garments" not in err
+    _, err = cli("run", file, "--headless", "--frames", 1)
+    assert err.count("garments") == 1 and "--set meshes[0].scale=0.001 makes it 0.7 m" in err

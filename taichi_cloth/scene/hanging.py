@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from taichi_cloth.files.meshes.surface import Surface
+from taichi_cloth.scene.mesh import placed
 from taichi_cloth.scene.spheres import most_near
 from taichi_cloth.scene.triangles import areas
+from taichi_cloth.settings import accepted
 
 GRAVITY = 9.81  # [m/s^2]
 FRAME = 1 / 60  # [s]
@@ -27,26 +30,43 @@ HELD = 0.05  # the part of the height, from the top, that is held
 RADIUS = 0.35  # of a particle, in mean edges
 MOST_THICK = 20_000  # vertices of a mesh that keeps off itself unasked: steps take twice as long
 MOST_NEAR = 48  # vertices within the reach of one, likewise: large triangles beside small ones
+SMALL, LARGE = 0.1, 10.0  # sizes beyond which nobody wears it [m]
 FLAT = 1e-6  # a sheet that is less high than this part of its size lies, and is stood upright
 
 
-def table(path: Path, surface: Surface) -> dict[str, Any]:
+def table(path: Path, surface: Surface, given: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """What a scene file would say of the mesh at `path`, as a table of TOML; surface: the mesh's.
 
     The mesh is in metres, hangs in the middle of a world three times its size, and is held by all
-    vertices within the highest twentieth of its height. A sheet that lies is stood upright. It does
-    not pass through itself (`thickness`) where that is no matter of minutes.
+    vertices within the highest twentieth of its height. A sheet that lies is stood upright; one
+    that is turned so that it lies is held at its far side. It does not pass through itself
+    (`thickness`) where that is no matter of minutes.
+
+    given: keys by which the mesh is placed otherwise: scale, turn, move; what else the table says
+    follows from where it is then. InputError for values that make no sense.
     """
-    x = surface.vertices
+    given = given or {}
+    scale, turn = given.get("scale", 1.0), given.get("turn", [0.0, 0.0, 0.0])
+    x = placed(surface.vertices, scale, turn, np.zeros(3))
     size = np.ptp(x, axis=0)
     lies = bool(size[1] <= FLAT * size.max())
-    if lies:  # y to z, and z to -y: 90 degrees about x
+    if lies and "turn" not in given:
+        lies, turn = False, [90.0, 0.0, 0.0]  # y to z, and z to -y
         x = np.stack([x[:, 0], -x[:, 2], x[:, 1]], axis=1)
         size = np.ptp(x, axis=0)
     low, reach = x.min(axis=0), float(size.max())
     # The lowest point stands one size above the ground, which leaves room to swing and to stretch.
     place = np.array([1.5 * reach, reach + size[1] / 2, 0.0]) - low - size / 2
-    top = reach + size[1]
+    world = np.array([3 * reach, 2 * reach + size[1], 3 * reach])
+    if "move" in given:  # then as much room is around it as the world reaches there
+        place = accepted.array("meshes: move", given["move"], (3,))
+        high = low + place + size
+        room = np.array([high[0], high[1], 2 * max(high[2], -low[2] - place[2])]) + reach
+        world = np.maximum(world, room)
+    top = float(low[1] + place[1] + size[1])
+    held: Any = {"above": top - HELD * float(size[1])}
+    if lies:  # as it was turned: its far side is held
+        held = np.flatnonzero(x[:, 2] <= low[2] + HELD * size[2]).tolist()
     corners = x[surface.triangles]
     edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
     area = areas(x, surface.triangles)
@@ -56,7 +76,7 @@ def table(path: Path, surface: Surface) -> dict[str, Any]:
     stretch = max(STRETCH, DENSITY * GRAVITY * float(size[1]) / SAG)
     return {
         "world": {
-            "size": [3 * reach, float(top + reach), 3 * reach],
+            "size": world.tolist(),
             "up": "y",
             "gravity": [0.0, -GRAVITY, 0.0],
             "dt": FRAME,
@@ -67,9 +87,10 @@ def table(path: Path, surface: Surface) -> dict[str, Any]:
         "meshes": [
             {
                 "file": str(path.absolute()),
-                "turn": [90.0 if lies else 0.0, 0.0, 0.0],
+                "scale": scale,
+                "turn": turn,
                 "move": place.tolist(),
-                "pinned": {"above": float(top - HELD * size[1])},
+                "pinned": held,
                 "stretch": stretch,
                 "density": DENSITY,
                 **({"thickness": 2 * radius} if keeps_off_itself(x, surface.triangles) else {}),
@@ -78,6 +99,23 @@ def table(path: Path, surface: Surface) -> dict[str, Any]:
             }
         ],
     }
+
+
+def note_of_size(x: np.ndarray, scale: float) -> str | None:
+    """What to say of a mesh (n, 3) that is no garment's size in metres: the scale that makes it so;
+    None: it may be one. scale: that it has.
+    """
+    size = float(np.ptp(x, axis=0).max())
+    if SMALL < size < LARGE:
+        return None
+    powers = {10.0**k: "" for k in range(-12, 13) if k}
+    factors = powers | {0.001: "millimetres", 0.01: "centimetres", 0.0254: "inches"}
+    best = min(factors, key=lambda factor: abs(np.log(factor * size)))
+    unit = f"if it is in {factors[best]}, " if factors[best] and scale == 1 else ""
+    return (
+        f"it is {size:.3g} m large, and garments are about 1 m: {unit}"
+        f"--set meshes[0].scale={scale * best:.6g} makes it {best * size:.3g} m"
+    )
 
 
 def keeps_off_itself(x: np.ndarray, triangles: np.ndarray) -> bool:

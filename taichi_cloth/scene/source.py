@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from taichi_cloth.errors import InputError
 from taichi_cloth.files.meshes import FORMATS
 from taichi_cloth.settings.options import flag_words
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 # all the rest of a start that only prints help.
 
 DEFAULT_SCENE = "cloth"
+PLACING = (("scale",), ("turn",), ("move",))  # keys of a mesh that say where it is, and how large
 MESHES = tuple(f".{name}" for name in FORMATS)  # suffixes of files that are no scene files
 
 
@@ -68,8 +70,26 @@ class SceneSource:
 
         path = Path(self.name)
         surface = meshes.read(path)  # held, so that the table and the scene's mesh are made of it
-        table = hanging.table(path, surface)
-        return scenefile.parse_table(table, path.name, "", path.stem, self.assignments)
+
+        def scene_of(table: dict[str, Any]) -> Scene:
+            return scenefile.parse_table(table, path.name, "", path.stem, self.assignments)
+
+        try:
+            table = hanging.table(path, surface, self._placed())
+        except InputError:
+            scene_of(hanging.table(path, surface))  # which names the assignment at fault
+            raise
+        scene, scale = scene_of(table), table["meshes"][0].get("scale", 1.0)
+        note = hanging.note_of_size(scene.particles.position, scale)
+        return replace(scene, notes=(*scene.notes, f"{path}: {note}")) if note else scene
+
+    def _placed(self) -> dict[str, Any]:
+        """How its mesh is placed by assignments; what makes no sense is left to be refused."""
+        given: dict[str, Any] = {}
+        for entry in self.assignments:
+            if entry.keys[:2] == ("meshes", 0) and entry.keys[2:] in PLACING:
+                given[str(entry.keys[2])] = entry.value
+        return given
 
     def solution(self) -> Callable[..., tuple[np.ndarray, np.ndarray]] | None:
         """What gives the scene's closed form at given times; None without one.
