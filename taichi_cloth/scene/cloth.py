@@ -13,7 +13,13 @@ import numpy as np
 
 from taichi_cloth.errors import InputError, nearest
 from taichi_cloth.scene.material import Material
-from taichi_cloth.scene.model import ParticleDefaults, Particles, SpringDefaults, Springs
+from taichi_cloth.scene.model import (
+    UPWARD,
+    ParticleDefaults,
+    Particles,
+    SpringDefaults,
+    Springs,
+)
 from taichi_cloth.scene.palette import CLOTH_COLOR, FABRIC_COLOR, FIXED_COLOR
 from taichi_cloth.scene.properties import SPRING_PROPERTIES
 from taichi_cloth.scene.stencils import Stencils
@@ -41,6 +47,7 @@ def grid(
     links: Sequence[str] = ("structural",),
     across: Sequence[float] | None = None,
     down: Sequence[float] | None = None,
+    up: str = "",
     material: Material | None = None,
     particle_defaults: ParticleDefaults | None = None,
     spring_defaults: SpringDefaults | None = None,
@@ -53,7 +60,8 @@ def grid(
     pinned: (column, row) pairs of the particles that never move.
     links: kinds out of `LINKS`. Springs are numbered particle by particle: left, upper; then
         upper left, upper right (shear); then two left, two up (bend).
-    across, down: directions of a row and of a column, any length (default: x and y).
+    across, down: directions of a row and of a column, any length (default: x, and downwards).
+    up: "y" where y points up, as in `World`: rows then go down to smaller y; "": to larger ones.
     material: what the cloth is made of, in the place of masses, radii and stiffness; None: each
         particle and link has its own. It needs two rows and columns.
     per_kind: stiffness, rest_length and the others of `SpringProperties`, each as one value for all
@@ -70,6 +78,10 @@ def grid(
     start = accepted.numbers("grid: origin", origin)
     if start.shape not in ((2,), (3,)):
         raise InputError(f"grid: origin must be 2 or 3 numbers, has shape {start.shape}")
+    if up not in UPWARD:
+        raise InputError(f"grid: up must be 'y', or '' where y points down, is {up!r}")
+    if up and down is None:
+        down = (0.0, -1.0, 0.0)[: len(start)]
     step_across, step_down = (spacing * of for of in _directions(across, down, len(start)))
     fixed = np.zeros((rows, columns), bool)
     fixed[_pinned_rows_and_columns(pinned, columns, rows)] = True
