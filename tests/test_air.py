@@ -39,6 +39,7 @@ gravity = [0.0, -9.81, 0.0]
 dt = 0.01
 air = { density = 1.2, drag = 1.1, lift = 0.6 }
 wind = { velocity = [1.0, 0.5, 4.0], gust = 0.3, period = 0.1, seed = 1 }
+substeps = 1
 [[cloths]]
 origin = [3.0, 20.0, 0.0]
 columns = 4

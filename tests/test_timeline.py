@@ -215,8 +215,10 @@ up = "y"
 size = [2.0, 2.0, 2.0]
 gravity = [0.0, -9.81, 0.0]
 dt = 0.016
+substeps = 1
 ground = 0.0
 [particle]
+restitution = 1.0
 mass = 0.01
 radius = 0.02
 [[cloths]]

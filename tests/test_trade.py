@@ -379,6 +379,8 @@ gravity = [0.0, -10.0]
 dt = 0.05
 ground = 1.0
 friction = 0.3
+[particle]
+restitution = 1.0
 [[particles]]
 position = [5.0, 2.35]
 velocity = [1.0, 0.0]
