@@ -372,3 +372,18 @@ def test_a_garment_in_millimetres_runs_once_it_is_scaled(cli, tmp_path):
     assert "5 frames" in out and "garments" not in err
     _, err = cli("run", file, "--headless", "--frames", 1)
     assert err.count("garments") == 1 and "--set meshes[0].scale=0.001 makes it 0.7 m" in err
+
+
+@pytest.mark.parametrize(
+    ("name", "touched"),
+    [("shirt", True), ("flag", False), ("drape", False), ("cloth", False), ("warp", False)],
+)
+def test_masses_of_meshes_have_changed_and_those_of_grids_have_not(name, touched):
+    scene = replace(library.build(name), assumed={})
+    if touched:
+        with pytest.raises(InputError, match="how the vertices of a mesh share its mass has chang"):
+            rules.refuse_changed(scene, {"model": 1}, "x")
+        scene = replace(
+            scene, particles=replace(scene.particles, mass=0 * scene.particles.mass + 1)
+        )
+    rules.refuse_changed(scene, {"model": 1}, "x")

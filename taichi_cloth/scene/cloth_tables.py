@@ -40,6 +40,7 @@ def read(reader: TableReader, entry: Table, index: int, common: Common) -> Sheet
             links=links,
             across=reader.vector(entry, path, "across", dim),
             down=reader.vector(entry, path, "down", dim) or common.world.downward,
+            up="",  # `down` says it
             material=Material(**material),
             particle_defaults=common.particle,
             spring_defaults=common.spring,

@@ -10,8 +10,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from taichi_cloth.errors import InputError
 from taichi_cloth.scene.model import Scene
+from taichi_cloth.scene.triangles import areas, at_corners, corner_shares
 from taichi_cloth.version import __version__
 
 MODEL = 2  # of what is made from here on
@@ -38,6 +41,25 @@ def _assumes(*keys: str) -> Callable[[Scene], bool]:
     return lambda scene: any(key in scene.assumed for key in keys)
 
 
+def _weighed_by_angles(scene: Scene) -> bool:
+    """Whether a mesh of the scene has its mass by a density: its triangles' shares, by angles.
+
+    Triangles of grids, half a square each, were always shared so.
+    """
+    particles, triangles = scene.particles, scene.triangles
+    if scene.world.dim != 3 or len(triangles) == 0:
+        return False
+    corners = particles.position[triangles]
+    sides = np.sort(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2), axis=1)
+    half = np.isclose(sides[:, 0], sides[:, 1]) & np.isclose(2 * sides[:, 0] ** 2, sides[:, 2] ** 2)
+    shares = corner_shares(particles.position, triangles)
+    shares = shares * areas(particles.position, triangles)[:, None]
+    share = at_corners(shares, triangles, len(particles))
+    with np.errstate(all="ignore"):
+        density = (particles.mass / share)[triangles]
+    return bool((~half & (np.ptp(density, axis=1) <= 1e-9 * density[:, 0])).any())
+
+
 # Whoever changes a rule adds it here, and raises MODEL once a release has the one before.
 CHANGES = (
     Change(
@@ -56,6 +78,7 @@ CHANGES = (
         "the contact of sandbox's discs",
         lambda scene: scene.name == "sandbox" and scene.world.contact == "resting",
     ),
+    Change(2, "how the vertices of a mesh share its mass", _weighed_by_angles),
 )
 
 
