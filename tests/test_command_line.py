@@ -594,7 +594,7 @@ def test_a_run_few_of_whose_steps_did_not_converge_is_noted(pool, monkeypatch, c
 )
 def test_what_was_given_up_is_noted(faces, pairs, near, thick, says, capsys):
     scene = SimpleNamespace(features=lambda: SimpleNamespace(thick=thick))
-    counts = {"unsettled_faces": faces, "unsettled": pairs, "uncertified": near}
+    counts = {"unsettled_faces": faces, "unsettled": pairs, "uncertified": near, "unguarded": 0}
     of = {name: lambda count=count: count for name, count in counts.items()}
     run_notes.note_unsettled(SimpleNamespace(scene=scene, steps=9, **of))
     lines = " ".join(capsys.readouterr().err.split()).split("taichi-cloth: note: ")[1:]

@@ -21,7 +21,7 @@ from taichi_cloth.scene.cloth import grid, grid_triangles
 from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.model import Particles, Scene, World
 from taichi_cloth.scene.obstacles import Obstacle
-from taichi_cloth.scene.spheres import needed_diameters, too_near
+from taichi_cloth.scene.spheres import nearness, needed_diameters, too_near
 from taichi_cloth.simulation.readings import Readings
 from taichi_cloth.simulation.storage import layouts
 
@@ -362,12 +362,39 @@ def test_triangles_whose_corners_keep_apart_do_not_meet():
         assert len(intersecting_pairs(x, pair)) == meets
 
 
+@pytest.mark.parametrize("closed", [False, True])
+def test_layers_that_begin_nearer_than_spheres_guard_are_counted_and_never_certified(closed):
+    """Those of a lining, and both sides of one surface that is thinner than it is cut."""
+    scene = sheets(11, [0.5, 0.51], seed=0)
+    x, half = scene.particles.position, len(scene.particles) // 2
+    if closed:  # sewn along one side by triangles, as the rim of a thickened sheet is
+        rim = np.arange(11)
+        a, b = rim[:-1], rim[1:]
+        sewn = np.vstack(
+            [np.column_stack([a, b, a + half]), np.column_stack([b, b + half, a + half])]
+        )
+        scene = replace(scene, triangles=np.vstack([scene.triangles, sewn]))
+    of = scene.spheres
+    near = np.linalg.norm(x[:half, None] - x[None, half:], axis=2) < 0.09  # of a spacing of 0.1
+    faced = set(map(tuple, np.argwhere(near) + [0, half]))
+    found = set(map(tuple, np.sort(of.unguarded, axis=1)))
+    assert len(found) > (60 if closed else 110) and all(j >= half > i for i, j in found)
+    assert closed or faced <= found
+    assert len(too_near(x, scene.triangles, of)) >= len(faced & found)
+    words = nearness(x, of)
+    i, j = of.unguarded[0]
+    assert words.startswith(f"{len(found)} pairs of particles of cloth begin nearer")
+    assert f"the first {i} and {j}, {np.linalg.norm(x[i] - x[j]):.3g} apart" in words
+    apart = sheets(11, [0.5, 0.64], seed=0)
+    assert len(apart.spheres.unguarded) == 0 and nearness(x, apart.spheres) == ""
+    assert len(too_near(apart.particles.position, apart.triangles, apart.spheres)) == 0
+
+
 def test_spheres_are_as_wide_as_spacing_asks_and_say_so():
     scene = sheets(11, [0.5, 0.56], seed=0)
     of = scene.spheres
     np.testing.assert_allclose(2 * of.radius, 0.125, rtol=0.01)
     assert len(of.widened) == 2 and "0.01 of particles 0 to 120 is taken as 0.125" in of.widened[0]
-    assert len(too_near(scene.particles.position, scene.triangles, of)) == 0
     pressed = scene.particles.position * [1.0, 0.1, 1.0]
     free = replace(of, start=0 * of.start, other=of.other[:0])
     assert len(too_near(pressed, scene.triangles, free)) > 100

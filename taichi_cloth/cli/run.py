@@ -95,6 +95,7 @@ def _simulate(first: Wanted, log: Log | None, resumed: saved.Saved | None) -> in
     told = run_notes.compiling(scene, options)
     sim = _resumed(scene, options, resumed, told) if resumed else _begun(scene, options, log, told)
     run_notes.note_inside(sim, options)
+    run_notes.note_rounded(sim, options)
     make = partial(_simulation, sim.scene, told=told)
     beside = run_beside.begun(sim, options, make, paced=opens_window(options.view))
     failure: RunFailure | None = None
@@ -119,6 +120,7 @@ def _ready(wanted: Wanted) -> Run:
     # What an earlier process compiled is for the fields of the first scene of a window.
     sim = _begun(wanted.scene, replace(wanted.options, lanes="8"), None, told)
     run_notes.note_inside(sim, wanted.options)
+    run_notes.note_rounded(sim, wanted.options)
     make = partial(_simulation, sim.scene, told=told)
     return Run(wanted, sim, None, run_beside.begun(sim, wanted.options, make, paced=True))
 

@@ -15,6 +15,7 @@ from taichi_cloth.errors import InputError, RunFailure, counted, milliseconds, p
 from taichi_cloth.files.recordings import Recordings
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.source import SceneSource
+from taichi_cloth.scene.spheres import nearness
 from taichi_cloth.scene.triangles import parted
 from taichi_cloth.settings.options import PROGRAM, SOLVER_SETTINGS, RunOptions
 
@@ -80,6 +81,9 @@ def announce(sim: Simulation, device: Device, view: View) -> None:
             say(f"note: {sentence}")
         if len(widened) > MOST_NOTES:
             say(f"note: and {len(widened) - MOST_NOTES} more such")
+        near = nearness(sim.scene.particles.position, sim.scene.spheres)
+        if near:
+            say(f"warning: {near}")
 
 
 def tell_assumed(scene: Scene) -> None:
@@ -180,6 +184,18 @@ def note_wide(scene: Scene) -> None:
     words = _too_wide(scene)
     if words:
         say(f"note: {words}")
+
+
+def note_rounded(sim: Simulation, options: RunOptions) -> None:
+    """Say on standard error where obstacles that are meshes end in tips or edges that are lost."""
+    for solid in sim.storage.solids:
+        if solid.placed.rounded and not options.quiet:
+            (local, off), (centre, turn) = solid.placed.rounded, solid.pose(0.0)
+            where = ", ".join(f"{number:.4g}" for number in centre + turn @ local)
+            say(
+                f"note: {solid.name} tapers off, and is rounded there, most at ({where}), by "
+                f"{off:.2g}; a smaller cell keeps more"
+            )
 
 
 def note_inside(sim: Simulation, options: RunOptions) -> None:
@@ -300,7 +316,8 @@ def note_unsettled(sim: Simulation) -> None:
     if near:
         say(
             f"note: {counted(near, 'pair')} of particles ended so near that triangles of cloth "
-            "might intersect: they are stretched, or the steps are too long"
+            f"might intersect: {'they began so near, ' if sim.unguarded() else ''}they are "
+            "stretched, or the steps are too long"
         )
 
 

@@ -14,6 +14,7 @@ from taichi_cloth.scene.cloth import LINKS, grid_stencils
 from taichi_cloth.scene.features import Features
 from taichi_cloth.scene.model import WALLS, Particles, Scene, SpringDefaults, Springs
 from taichi_cloth.scene.obstacles import CONTACTS
+from taichi_cloth.scene.spheres import nearness
 from taichi_cloth.scene.stencils import Stencils
 from taichi_cloth.simulation.storage import adjacency
 
@@ -125,7 +126,8 @@ def _thickness(scene: Scene) -> Variant:
     thin = replace(particles, thickness=np.zeros(len(particles)))
     wide = 2 * scene.spheres.radius[scene.spheres.thick]
     about = f"spheres of {counted(len(wide), 'particle')}, as wide as {wide.max():.4g}"
-    about = "; ".join([about, *scene.spheres.widened[:1]])
+    near = nearness(particles.position, scene.spheres)
+    about = "; ".join([about, *scene.spheres.widened[:1], *([near] if near else [])])
     return Variant("self-collision", True, about, replace(scene, particles=thin))
 
 

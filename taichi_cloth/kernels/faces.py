@@ -33,6 +33,7 @@ from taichi_cloth.kernels.obstacles.contract import (
     FRICTION,
     RESTITUTION,
     ROUND,
+    THIN,
 )
 from taichi_cloth.kernels.obstruction import (
     BOUND_MARGIN,
@@ -64,7 +65,8 @@ AT_ONCE = 8  # sweeps in a launch, after which the host asks what is next
 SETTLED = 1e-3  # of the room that a contact has: depth, and approach in a step, at which sweeps end
 UNSETTLED = 0.5  # of that room: a depth that is counted
 OPPOSED = -0.01  # cosine between normals up to which one would push back what another lets through
-LEAST_ROOM = 0.02  # of the longest side: the room of what has no radius
+LEAST_ROOM = 0.02  # of the longest side: the room of what has no radius and is no thinner
+LEAST_HALF = 0.01  # of the longest side: what is thinner is met as if it were that thick
 MOST_LOOKS = 64  # along the path of a step
 
 # Columns of state.face: what was found for a triangle, then what it does to its corners.
@@ -305,15 +307,17 @@ def _is_near(spec: ti.template(), state: ti.template(), o, m):
     this step, and whether it may have.
     """
     x = slot_value(spec, state.x, _corner(state, m, 0))
-    reach, way = 0.0 * x[0], 0.0 * x[0]
+    reach, way, least = 0.0 * x[0], 0.0 * x[0], FAR + 0.0 * x[0]
     for k in ti.static(range(3)):
         slot = _corner(state, m, k)
+        least = ti.min(least, slot_number(spec, state.radius, slot))
         at = slot_value(spec, state.x, slot)
         d, moved = at - x, at - slot_value(spec, state.begun_x, slot)
         if ti.static(spec.moving):
             moved += centre_of(spec, state, o, START) - centre_of(spec, state, o, END)
         reach = ti.max(reach, laws.length(d) + slot_number(spec, state.radius, slot))
         way = ti.max(way, laws.length(moved))
+    reach += _padding(state, o, least, 2.0 * reach)  # no side is longer than that
     away = laws.length(x - centre_of(spec, state, o, END))
     beyond = away - BOUND_MARGIN * (state.obstacle_numbers[o, BOUND] + reach)
     return face_clearance.of_far(state, beyond - way, x), beyond <= way
@@ -347,6 +351,7 @@ def _meet(spec: ti.template(), state: ti.template(), o, m, piece):
     way = ti.max(laws.length(a1 - a0), laws.length(b1 - b0), laws.length(c1 - c0))
     side = ti.max(laws.length(b1 - a1), laws.length(c1 - b1), laws.length(a1 - c1))
     room, slack = _room(spec, state, o, i, radii, side)
+    padding = _padding(state, o, radii.max(), side)
     fast = way > room
     best_share, best_n, end_share, end_n = 0.0 * radii, 0.0 * a1, 0.0 * radii, 0.0 * a1
     gap, gap_before, met, clear = 0.0 * way, 0.0 * way, -1.0 + 0.0 * way, 0.0 * way
@@ -358,10 +363,10 @@ def _meet(spec: ti.template(), state: ti.template(), o, m, piece):
     while going:
         p, q, r = a0 + at * (a1 - a0), b0 + at * (b1 - b0), c0 + at * (c1 - c0)
         least, share, n, held, low = nearest(spec, state, o, p, q, r, radii - slack, w, side)
-        here = least - share.dot(radii)
+        here = least - share.dot(radii) - padding
         inward = n.dot(point_of(share, a1 - a0, b1 - b0, c1 - c0))
         if looks == 0:
-            low -= radii.max()
+            low -= radii.max() + padding
             clear = face_clearance.of_looked_at(spec, state, o, low, way, room, slack)
         if held == 1:  # wherever on its way: nothing of it is tested
             gap, end_gap, deep, going = 0.0 * gap, 0.0 * gap, 0.0 * gap, False
@@ -400,8 +405,16 @@ def _room(spec: ti.template(), state: ti.template(), o, slot, radii, side):
     large a gap is rounding."""
     radius = ti.max(radii[0], radii[1], radii[2])
     room = ti.max(radius + state.obstacle_numbers[o, ROUND], LEAST_ROOM * side)
+    thick = radius + state.obstacle_numbers[o, THIN] + _padding(state, o, radius, side)
+    room = ti.min(room, thick)  # beyond that it is through
     x = slot_value(spec, state.x, slot)
     return room, slack_of(spec, state, o, x, radius + side)  # no point of it is farther than a side
+
+
+@ti.func
+def _padding(state: ti.template(), o, radius, side):
+    """By how much obstacle o is too thin for a triangle of that radius and side to be kept out."""
+    return ti.max(LEAST_HALF * side - (radius + state.obstacle_numbers[o, THIN]), 0.0 * side)
 
 
 # --- what comes of it --------------------------------------------------------------------------

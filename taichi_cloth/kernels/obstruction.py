@@ -48,7 +48,8 @@ from taichi_cloth.kernels.watchdog import note_fault
 ROUNDS = 8  # in which a particle that several obstacles touch finds where all let it be
 BOUND_MARGIN = 1.001  # of what obstacles are within, so that no rounding makes them larger
 ROUNDINGS = 8.0  # of the lengths in a distance, that count as touching
-MOST_LOOKS = 128  # along the path of a step
+MOST_LOOKS = 128  # along the path of a step that is not longer than as many thicknesses
+MOST_OF_THIN = 4096  # along any
 LEAST_STEP = 0.25  # of a look, in parts of how thin the obstacle is
 NEAR = 0.01  # distance, in the same parts, at which a path has met the obstacle
 FAR_PUSH = 0.4  # of its radius: by less no obstacle pushes a face so deep that it is counted
@@ -434,8 +435,10 @@ def judge_look(
             past = here + (1.0 - at) * inward
             if past < 0.0:
                 found, meets_at, going = True, at - here / inward, False
-        next_at = at + ti.max(here, LEAST_STEP * thin, length / most_looks) / length
-        if next_at >= 1.0 or looks > most_looks:
+        least = ti.max(LEAST_STEP * thin, ti.min(length / most_looks, thin))
+        next_at = at + ti.max(here, least) / length
+        most = ti.min(ti.max(length / thin, most_looks), MOST_OF_THIN)
+        if next_at >= 1.0 or looks > most:
             going = False
     return found, past, meets_at, next_at, going
 

@@ -20,10 +20,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taichi_cloth.errors import InputError
+from taichi_cloth.errors import InputError, counted
 from taichi_cloth.scene.triangles import springs_of_sides
 
 STRETCH = 1.25  # of what triangles need at the start
+RINGS = 3  # of sides between two corners that are neighbours: sheets fold no sharper
 COMPRESSED = 0.7  # of its distance at the start, to which a pair of neighbours may come
 SKIN = 0.4  # of the smallest sphere's diameter, that is listed beyond the reach of pairs
 PATCH = 16  # particles of a patch, at least
@@ -42,6 +43,9 @@ class Spheres:
     start[i + 1]. skin: how much farther pairs are listed [length]. patch_start, in_patches: patches
     of particles that start near each other, each of one cloth; those of patch b are in_patches
     from patch_start[b] to patch_start[b + 1], and behind the last one those who pass through all.
+    widened: what is said of cloths whose spheres are wider than their thickness. unguarded: (u, 2),
+    pairs that start so near that triangles at them may meet whatever spheres do, and are no
+    neighbours: other layers, as of a lining.
     """
 
     radius: np.ndarray
@@ -53,6 +57,7 @@ class Spheres:
     patch_start: np.ndarray
     in_patches: np.ndarray
     widened: tuple[str, ...]
+    unguarded: np.ndarray
 
     def rows_by_place(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """start, other and reach with places in `in_patches` instead of particles."""
@@ -134,6 +139,7 @@ def spheres(
         skin=SKIN * float(diameter[thick].min(initial=np.inf)),
         **_patches(position, size, part),
         widened=tuple(_widened(thickness, diameter, part)),
+        unguarded=_unguarded(position, pairs, needed, triangles),
     )
 
 
@@ -169,6 +175,50 @@ def _widened(thickness: np.ndarray, diameter: np.ndarray, part: np.ndarray) -> I
         )
 
 
+def _unguarded(
+    position: np.ndarray, pairs: np.ndarray, needed: np.ndarray, triangles: np.ndarray
+) -> np.ndarray:
+    """Those of the pairs that keep less than their spheres, between which triangles may meet."""
+    from scipy.sparse import coo_array
+
+    i, j = pairs.T
+    near = pairs[((position[i] - position[j]) ** 2).sum(axis=1) < _reach2(needed, i, j)]
+    if not len(near):
+        return near
+    sides = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
+    both, count = np.concatenate([sides, sides[:, ::-1]]).T, len(position)
+    ring = coo_array((np.ones(len(both[0])), (both[0], both[1])), shape=(count, count)).tocsr()
+    reached = ring
+    for _ in range(RINGS - 1):
+        reached = reached + reached @ ring
+    neighbours = np.asarray(reached[near[:, 0], near[:, 1]]).ravel() > 0
+    found: np.ndarray = near[~neighbours]
+    return found
+
+
+def _reach2(needed: np.ndarray, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+    """The square of the distance from which on triangles at i and j cannot meet: of both ends of
+    sqrt((L^2 / 4) + q); L^2 / 4 is at most the q of the edge's own triangle.
+    """
+    squares: np.ndarray = (needed[i] ** 2 + needed[j] ** 2) / 2
+    return squares
+
+
+def nearness(position: np.ndarray, of: Spheres) -> str:
+    """What is to be said of the layers of a scene that begin too near; "": there are none."""
+    if not len(of.unguarded):
+        return ""
+    (i, j), count = of.unguarded[0], len(of.unguarded)
+    apart = float(np.linalg.norm(position[i] - position[j]))
+    wide = float((of.radius[of.unguarded].sum(axis=1)).max())
+    return (
+        f"{counted(count, 'pair')} of particles of cloth begin{'s' * (count == 1)} nearer than the "
+        f"thickness can guard, {'' if count == 1 else 'the first '}{i} and {j}, {apart:.3g} apart: "
+        "faces there can go through each other; let layers begin "
+        f"{wide:.3g} apart, or make them finer"
+    )
+
+
 def _parts(thick: np.ndarray, triangles: np.ndarray, between: np.ndarray) -> np.ndarray:
     """The number of the cloth that each particle is of, (n,); -1 where it has no thickness."""
     from scipy.sparse import coo_array
@@ -184,8 +234,8 @@ def _parts(thick: np.ndarray, triangles: np.ndarray, between: np.ndarray) -> np.
 def too_near(position: np.ndarray, triangles: np.ndarray, of: Spheres) -> np.ndarray:
     """The pairs of particles of cloths that are so near that triangles at them may meet, (p, 2).
 
-    Where there are none, no two triangles meet but those of neighbours, and of what started nearer
-    than its spheres are wide. position: (n, 3), of now; triangles: (m, 3), those that are whole.
+    Where there are none, no two triangles meet but those of neighbours. position: (n, 3), of now;
+    triangles: (m, 3), those that are whole.
     """
     from scipy.spatial import cKDTree
 
@@ -195,12 +245,11 @@ def too_near(position: np.ndarray, triangles: np.ndarray, of: Spheres) -> np.nda
     listed = cKDTree(position[mine]).query_pairs(widest, output_type="ndarray")
     pairs = mine[np.sort(listed, axis=1)].reshape(-1, 2)
     i, j = pairs.T
-    # Both ends of sqrt((L^2 / 4) + q): L^2 / 4 is at most the q of the edge's own triangle.
-    reach2 = (needed[i] ** 2 + needed[j] ** 2) / 2
-    pairs = pairs[((position[i] - position[j]) ** 2).sum(axis=1) < reach2]
+    pairs = pairs[((position[i] - position[j]) ** 2).sum(axis=1) < _reach2(needed, i, j)]
     count = len(position)
     closer = np.repeat(np.arange(count), np.diff(of.start)) * count + of.other
-    found: np.ndarray = pairs[~np.isin(pairs @ (count, 1), closer)]
+    neighbours = np.setdiff1d(closer, of.unguarded @ (count, 1))
+    found: np.ndarray = pairs[~np.isin(pairs @ (count, 1), neighbours)]
     return found
 
 

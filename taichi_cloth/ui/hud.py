@@ -239,6 +239,8 @@ def _settings(sim: Simulation, device: str, *, windowed: bool) -> tuple[Word, ..
         words.append(Word(f"{unconverged} steps unconverged", style.BAD))
     if unsettled:
         words.append(Word(f"{unsettled} steps with overlaps", style.WARN))
+    if sim.unguarded():
+        words.append(Word(f"{sim.unguarded()} pairs unguarded", style.WARN))
     path = f"{device}, {sim.way}" if windowed else device
     return (*words, Word(step, style.INK, 1), Word(path, style.MUTED, 2))
 

@@ -70,7 +70,8 @@ class Placed:
     has none. round: the radius of its sharpest edge or corner, which could pass between a cloth's
     particles where it is smaller than the cells. bound: radius of a ball about the centre that
     holds it. low: (3,), cell, nodes: (nx, ny, nz, 4), of a grid of distances and normals, where it
-    has one; vertices, faces: of what that was made from, to draw it by.
+    has one; vertices, faces: of what that was made from, to draw it by. rounded: a local point (3,)
+    where that tapers off and is rounded most, and by how much; None: nowhere.
     """
 
     centre: np.ndarray
@@ -84,6 +85,7 @@ class Placed:
     nodes: np.ndarray | None = None
     vertices: np.ndarray | None = None
     faces: np.ndarray | None = None
+    rounded: tuple[np.ndarray, float] | None = None
 
 
 Values = Mapping[str, Any]

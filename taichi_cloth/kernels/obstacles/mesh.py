@@ -1,18 +1,24 @@
 """A closed mesh, by the distances of a grid's nodes from it (a signed distance field).
 
 The distance of a point is interpolated between the nodes of its cell, and so is the normal, from
-the slope of the distances at these nodes: a body's edges are as round as a cell is wide, and what
-is thinner than two cells may be lost. Which side a node is on: how often a line from it crosses the
-mesh. Jones, Baerentzen, Sramek, "3D distance fields: a survey", 2006; near the mesh distances are
-exact (Ericson, Real-Time Collision Detection, 5.1.5), beyond it they are from the nearest points
-that neighbouring nodes have found.
+the slope of the distances at these nodes: a body's edges are as round as a cell is wide. Which side
+a node is on: how often a line from it crosses the mesh. Jones, Baerentzen, Sramek, "3D distance
+fields: a survey", 2006; near the mesh distances are exact (Ericson, Real-Time Collision Detection,
+5.1.5), beyond it they are from the nearest points that other nodes have found.
+
+The mesh is compared with its own field: at points all over it the distance must be 0 within a tenth
+of its thickness there (`mesh_thickness.py`). Cells are made smaller until it is; where they would
+be too many, or their width is given, the mesh is refused. What tapers off is as round as a cell
+that nobody asked to be smaller.
 """
 
 import functools
+from dataclasses import dataclass
 
 import numpy as np
 import taichi as ti
 
+from taichi_cloth.kernels.mesh_thickness import THINNEST, Samples, badly_met, expanded, sampled
 from taichi_cloth.kernels.obstacles.contract import (
     CELL,
     FACES,
@@ -28,6 +34,7 @@ from taichi_cloth.kernels.obstacles.contract import (
 )
 
 MOST_NODES = 4_000_000
+MOST_CHOSEN = 1_500_000  # of cells that nobody asked for: some ten seconds to compute
 CELLS = 32  # along its longest side, where `cell` is absent
 BAND = 2  # cells from the mesh within which distances are exact
 PAIRS = 500_000  # of nodes and faces that are looked at together
@@ -108,7 +115,27 @@ def refusal(values):
         return "vertices", "the mesh is flat: it has no inside"
     if _covers_itself(vertices, faces):
         return "faces", "the mesh has no inside: each face lies on another one; remove the doubles"
-    return None
+    return _lost(values)
+
+
+def _lost(values):
+    """What is wrong with a mesh whose grid is too coarse for its thin parts."""
+    fit = _fitted(*_of_fit(values, 0.0))
+    if fit.lost is None:
+        return None
+    centre = np.zeros(3) if values["centre"] is None else np.asarray(values["centre"], np.float64)
+    place, thin = centre + turned(values["turn"], 3) @ fit.lost[0], fit.lost[1]
+    where = ", ".join(f"{number:.4g}" for number in place)
+    instead = "make that part an obstacle of its own, such as a box or a capsule, or thicker"
+    grid = f"a grid of {MOST_CHOSEN:g} nodes has cells of {fit.cell:.2g}"
+    if values["cell"] is not None:
+        instead = "leave cell out, or give half of that"
+        grid = f"cells of {fit.cell:g} lose what is so thin"
+    return (
+        "cell",
+        f"the mesh is {thin:.2g} thick at ({where}), and {grid}; {instead}; "
+        f"or say least = {fit.cell / THINNEST:.2g}, and parts thinner than that may be lost",
+    )
 
 
 def _covers_itself(vertices, faces):
@@ -122,15 +149,15 @@ def _covers_itself(vertices, faces):
 
 def place(values, dim, margin):
     """The mesh at time 0, with its grid."""
-    vertices = np.asarray(values["vertices"], np.float64) * float(values["scale"])
-    faces = np.asarray(values["faces"], np.int64)
-    size = np.ptp(vertices[np.unique(faces)], axis=0)
-    cell = float(values["cell"] or size.max() / CELLS)
-    low, nodes = _grid(vertices.tobytes(), faces.tobytes(), cell, float(margin))
+    vertices, faces = _scaled(values), np.asarray(values["faces"], np.int64)
+    fit = _fitted(*_of_fit(values, float(margin)))
+    if fit.lost is not None:  # balls so large leave no nodes for what is thin: without their margin
+        fit = _fitted(*_of_fit(values, 0.0))
+    low, nodes, cell = fit.low, fit.nodes, fit.cell
     centre = np.zeros(3) if values["centre"] is None else np.asarray(values["centre"], np.float64)
     bound = float(np.linalg.norm(vertices, axis=1).max())
     clear = float(min(face.min() for axis in range(3) for face in _sides(nodes[..., 0], axis)))
-    # It may be as thin as its cells are wide in some places.
+    # It is no thinner than its cells are wide, but for what tapers off.
     return Placed(
         centre,
         turned(values["turn"], dim),
@@ -143,6 +170,7 @@ def place(values, dim, margin):
         nodes=nodes,
         vertices=vertices,
         faces=faces,
+        rounded=fit.rounded,
     )
 
 
@@ -151,21 +179,92 @@ def _sides(distances, axis):
     return np.take(distances, 0, axis), np.take(distances, -1, axis)
 
 
-@functools.lru_cache(maxsize=8)
-def _grid(vertices, faces, cell, margin):
-    """The low corner (3,) of a mesh's grid, and distances and normals at its nodes (.., 4).
+def _scaled(values):
+    return np.asarray(values["vertices"], np.float64) * float(values["scale"])
 
-    vertices, faces: bytes of float64 and int64 arrays. margin: kept free around the mesh [length].
+
+def _of_fit(values, margin):
+    """The arguments of `_fitted`."""
+    faces = np.asarray(values["faces"], np.int64)
+    cell, least = float(values["cell"] or 0.0), float(values["least"])
+    return _scaled(values).tobytes(), faces.tobytes(), cell, margin, least
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A grid that a mesh is met by: its low corner (3,), cell, distances and normals (.., 4).
+
+    lost: a point (3,) of the mesh that it is not met at, and its thickness there; None: none.
+    rounded: likewise where it is most rounded off, as it tapers there; and by how much.
+    """
+
+    low: np.ndarray
+    cell: float
+    nodes: np.ndarray
+    lost: tuple[np.ndarray, float] | None
+    rounded: tuple[np.ndarray, float] | None
+
+
+@functools.lru_cache(maxsize=4)
+def _fitted(vertices, faces, cell, margin, least):
+    """The coarsest grid by which a mesh is met wherever it is as thick as `least`, as a `Fit`.
+
+    vertices, faces: bytes of float64 and int64 arrays. cell: its width; 0: as is needed. margin:
+    kept free around the mesh [length].
     """
     corners = np.frombuffer(vertices).reshape(-1, 3)[np.frombuffer(faces, np.int64).reshape(-1, 3)]
+    size = np.ptp(corners, axis=(0, 1))
+    usual = float(size.max()) / CELLS
+    finest = _finest(size, margin)
+    samples, now = sampled(corners), cell or usual
+    samples = Samples(*(rows[samples.thickness >= least] for rows in vars(samples).values()))
+    while True:
+        low, nodes = _grid(corners, now, margin, now < usual and not cell)
+        field = functools.partial(_distances_at, low, now, nodes)
+        error, lost, rounded = badly_met(samples, field, now, max(usual, cell))
+        worst = None
+        if rounded.any():
+            which = np.where(rounded, error, 0.0).argmax()
+            worst = samples.points[which], float(error[which])
+        if not lost.any():
+            return Fit(low, now, nodes, None, worst)
+        thin = samples.thickness[lost]
+        if cell or now <= finest or THINNEST * np.median(thin) < finest:
+            which = np.flatnonzero(lost)[thin.argmin()]
+            place = samples.points[which], float(samples.thickness[which])
+            return Fit(low, cell or finest, nodes, place, worst)
+        now = max(finest, min(now / 1.5, max(now / 4.0, 0.5 * float(np.median(thin)))))
+
+
+def _finest(size, margin):
+    """The width of cells of which a grid around a mesh of this size (3,) has MOST_CHOSEN."""
+    low, high = 0.0, float(size.max()) / CELLS
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        room = _room(size, middle, margin) if middle > 0 else 0.0
+        nodes = np.prod(np.ceil((size + 2.0 * room) / middle) + 1.0)
+        low, high = (middle, high) if nodes > MOST_CHOSEN else (low, middle)
+    return high
+
+
+def _room(size, cell, margin):
+    """What a grid leaves free around a mesh of this size (3,)."""
+    return max((BAND + 0.5) * cell, min(margin + cell, float(size.max())))
+
+
+def _grid(corners, cell, margin, quickly):
+    """The low corner (3,) of a mesh's grid, and distances and normals at its nodes (.., 4).
+
+    corners: (m, 3, 3). quickly: as grids of many nodes need it (`_spread`).
+    """
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-    room = max((BAND + 0.5) * cell, min(margin + cell, float((high - low).max())))
+    room = _room(high - low, cell, margin)
     counts = np.ceil((high - low + 2.0 * room) / cell).astype(np.int64) + 1
     low = 0.5 * (low + high) - 0.5 * cell * (counts - 1)
     # Not through a vertex or along an edge: a line there would cross two faces or none.
     low = low + cell * np.array([0.0, 1.37e-5, 2.71e-5])
     points = [low[axis] + cell * np.arange(counts[axis]) for axis in range(3)]
-    nearest = _nearest_points(corners, low, cell, counts)
+    nearest = _nearest_points(corners, low, cell, counts, quickly)
     at = np.stack(np.meshgrid(*points, indexing="ij"), axis=3)
     distances = np.linalg.norm(at - nearest, axis=3)
     distances[_inside(corners, points)] *= -1.0
@@ -173,21 +272,22 @@ def _grid(vertices, faces, cell, margin):
     return low, np.concatenate([distances[..., None], slopes], axis=3)
 
 
-def _nearest_points(corners, low, cell, counts):
+def _nearest_points(corners, low, cell, counts, quickly):
     """The point of the mesh nearest to each node (nx, ny, nz, 3); corners: (m, 3, 3)."""
     nearest = np.full((*counts, 3), 1e30)
     best = np.full(counts.prod(), np.inf)
     flat = nearest.reshape(-1, 3)
-    first = np.maximum(np.floor((corners.min(axis=1) - low) / cell).astype(int) - BAND, 0)
-    last = np.minimum(np.ceil((corners.max(axis=1) - low) / cell).astype(int) + BAND, counts - 1)
+    band = 1 if quickly else BAND
+    first = np.maximum(np.floor((corners.min(axis=1) - low) / cell).astype(int) - band, 0)
+    last = np.minimum(np.ceil((corners.max(axis=1) - low) / cell).astype(int) + band, counts - 1)
     sizes = last - first + 1
     pairs = sizes.prod(axis=1)
     begin = 0
     while begin < len(corners):
         many = np.searchsorted(np.cumsum(pairs[begin:]), PAIRS) + 1
         mine = np.arange(begin, min(begin + many, len(corners)))
-        face = np.repeat(mine, pairs[mine])
-        inner = np.arange(len(face)) - np.repeat(np.cumsum(pairs[mine]) - pairs[mine], pairs[mine])
+        row, inner = expanded(pairs[mine])
+        face = mine[row]
         ny, nz = sizes[face, 1], sizes[face, 2]
         node = first[face] + np.column_stack([inner // (ny * nz), inner // nz % ny, inner % nz])
         point = closest_points(low + cell * node, corners[face])
@@ -198,8 +298,19 @@ def _nearest_points(corners, low, cell, counts):
         better = distance < best[index]
         best[index[better]], flat[index[better]] = distance[better], point[better]
         begin += many
-    _pass_on(nearest, low, cell, counts)
+    if quickly:
+        _spread(nearest, best.reshape(counts) < np.inf)
+    else:
+        _pass_on(nearest, low, cell, counts)
     return nearest
+
+
+def _spread(nearest, known):
+    """Give each node the point of the nearest of those that are known, (nx, ny, nz) bool."""
+    from scipy.ndimage import distance_transform_edt
+
+    nodes = distance_transform_edt(~known, return_distances=False, return_indices=True)
+    nearest[...] = nearest[tuple(nodes)]
 
 
 def _pass_on(nearest, low, cell, counts):
@@ -286,16 +397,7 @@ def _inside(corners, points):
 
 def twin(placed, q):
     """The law in NumPy."""
-    count = np.array(placed.nodes.shape[:3])
-    at = (q - placed.low) / placed.cell
-    inside = np.clip(at, 0.0, count - 1)
-    past = (at - inside) * placed.cell
-    base = np.minimum(inside.astype(np.int64), count - 2)
-    part = inside - base
-    value = np.zeros((len(q), 4))
-    for corner in np.ndindex(2, 2, 2):
-        weight = np.where(np.array(corner) == 1, part, 1.0 - part).prod(axis=1)
-        value += weight[:, None] * placed.nodes[tuple((base + corner).T)]
+    value, past = _interpolated(placed.low, placed.cell, placed.nodes, q)
     d, n = value[:, 0], value[:, 1:]
     length, outside = np.linalg.norm(n, axis=1), np.linalg.norm(past, axis=1)
     n = np.where(length[:, None] > 0, n / np.where(length, length, 1.0)[:, None], [0.0, 0.0, 1.0])
@@ -303,6 +405,24 @@ def twin(placed, q):
     d[far] = outside[far] + placed.sizes[0]
     n[far] = past[far] / outside[far, None]
     return d, n
+
+
+def _interpolated(low, cell, nodes, q):
+    """What a grid's nodes have, (n, 4), at points (n, 3), and how far these are past it, (n, 3)."""
+    count = np.array(nodes.shape[:3])
+    at = (q - low) / cell
+    inside = np.clip(at, 0.0, count - 1)
+    base = np.minimum(inside.astype(np.int64), count - 2)
+    part = inside - base
+    value = np.zeros((len(q), 4))
+    for corner in np.ndindex(2, 2, 2):
+        weight = np.where(np.array(corner) == 1, part, 1.0 - part).prod(axis=1)
+        value += weight[:, None] * nodes[tuple((base + corner).T)]
+    return value, (at - inside) * cell
+
+
+def _distances_at(low, cell, nodes, q):
+    return _interpolated(low, cell, nodes, q)[0][:, 0]
 
 
 def surface(placed, extent):
@@ -319,6 +439,7 @@ SHAPE = Shape(
         Key("turn", TURN, "about that, at time 0", "degrees", None),
         Key("scale", NUMBER, "by which vertices are multiplied", "1", 1.0, above=0.0),
         Key("cell", NUMBER, "width of the grid's cells", "length", None, above=0.0),
+        Key("least", NUMBER, "thinner parts may be lost", "length", 0.0, minimum=0.0),
     ),
     dims=(3,),
     convex=False,

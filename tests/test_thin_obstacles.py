@@ -1,0 +1,146 @@
+"""Obstacles thinner than what a step moves, than a face's side, or than a grid's cells."""
+
+import re
+
+import numpy as np
+import pytest
+
+from taichi_cloth.kernels.faces import LEAST_ROOM
+from taichi_cloth.kernels.mesh_thickness import sampled
+from taichi_cloth.kernels.obstacles import mesh as mesh_shape
+from taichi_cloth.kernels.obstacles.contract import turned
+from taichi_cloth.scene.cloth import grid_triangles
+from taichi_cloth.scene.model import Particles, Scene, Springs, World
+from taichi_cloth.scene.obstacles import Obstacle, fault
+from taichi_cloth.scene.solids import solids
+from taichi_cloth.simulation.simulation import Simulation
+
+SIDE = 0.05
+FACES = grid_triangles(2, 2)
+SHARED = [sorted(set(FACES[0]) & set(FACES[1]))]  # the ends of the side that both faces have
+THIN = (2e-3, 1e-3, 1e-4)  # of a side: from a tenth of LEAST_ROOM on down
+
+
+def thin_thing(shape, half):
+    """A rod along x, or a plate, whose surface is `half` above 1."""
+    if shape == "capsule":
+        return Obstacle.build("capsule", ends=[[4.0, 1.0, 0.0], [6.0, 1.0, 0.0]], radius=half)
+    return Obstacle.build("box", centre=[5.0, 1.0, 0.0], half=[1.0, half, half])
+
+
+def falling_square(obstacle, speed, dt):
+    """Two faces without forces that come down, level, with their middle over what is in the way.
+
+    The rod runs between their corners, across the side that both have.
+    """
+    at = [[4.99, 1.0, -0.025], [5.04, 1.0, -0.025], [4.99, 1.0, 0.025], [5.04, 1.0, 0.025]]
+    square = Particles.build(np.array(at) + [0.0, 0.3 * SIDE, 0.0], mass=0.001, radius=0.0)
+    square.velocity[:, 1] = -speed
+    world = World((10.0, 10.0, 10.0), (0.0, 0.0, 0.0), dt=dt, up="y", contact="resting")
+    of = {"triangles": FACES, "obstacles": (obstacle,)}
+    return Scene("square", world, square, Springs.none(), **of)
+
+
+def heights_over_the_line(x):
+    """How high above its middle line the sides are that cross what is in the way."""
+    found = []
+    for a, b in ((0, 2), (1, 3), *SHARED):
+        (y, z), (to_y, to_z) = x[a, 1:] - [1.0, 0.0], x[b, 1:] - [1.0, 0.0]
+        found.append(y - z * (to_y - y) / (to_z - z) if z * to_z < 0 else np.inf)
+    return found
+
+
+@pytest.mark.parametrize("shape", ["capsule", "box"])
+def test_a_face_does_not_pass_what_is_thinner_than_it_moves_in_a_step(device, shape):
+    """However little of its side it moves, and however many thicknesses; what goes several sides
+    in a step may be left in it, and is counted.
+    """
+    sim = None
+    for part in THIN:
+        for way in (0.5 * part, 3.0 * part, 0.4 * LEAST_ROOM, 0.3, 3.0):
+            half, dt = 0.5 * part * SIDE, 1 / 960
+            scene = falling_square(thin_thing(shape, half), way * SIDE / dt, dt)
+            sim = sim or Simulation(scene, substeps=1, topology="graph", execution="serial")
+            sim.load_scene(scene)
+            sim.advance(int(0.3 / way) + 1 + (way < 0.1))
+            over = heights_over_the_line(sim.positions())
+            counted = sim.unsettled_faces() > 0
+            assert min(over) > 0.9 * half or (way > 1.0 and counted), (part, way, over)
+            assert not counted or way > 1.0
+
+
+def table(top, turn=0.0):
+    """A closed mesh: a plate of 1 m on a wide foot, whose top is as thick as that [length]."""
+    x = [-0.5, -0.5, -0.06, -0.06, 0.06, 0.06, 0.5, 0.5]
+    y = [0.0, -top, -top, -0.4, -0.4, -top, -top, 0.0]
+    ring = np.column_stack([x, y])
+    vertices = np.vstack([np.column_stack([ring, np.full(8, z)]) for z in (-0.5, 0.5)])
+    cut = np.array([[0, 1, 2], [0, 2, 5], [2, 3, 4], [2, 4, 5], [0, 5, 7], [5, 6, 7]])
+    sides = [[k, (k + 1) % 8, k + 8] for k in range(8)]
+    sides += [[(k + 1) % 8, (k + 1) % 8 + 8, k + 8] for k in range(8)]
+    faces = np.vstack([cut[:, ::-1], cut + 8, sides])
+    return {"vertices": vertices @ turned([turn, 0.3 * turn, 2.0 * turn], 3).T, "faces": faces}
+
+
+@pytest.mark.parametrize("turn", [0.0, 17.0])
+def test_cells_of_a_mesh_are_as_small_as_its_thinnest_part_asks(turn):
+    """The zero of the field is then within a tenth of the thickness, and its middle inside."""
+    top = 0.026  # less than the 32nd of a side that cells are without a reason
+    mesh = Obstacle.build("mesh", **table(top, turn))
+    assert fault(mesh, 3) is None
+    scene = falling_square(mesh, 1.0, 1e-3)
+    placed = solids(scene)[0].placed
+    assert placed.cell < 0.75 * top and placed.nodes[..., 0].size < mesh_shape.MOST_CHOSEN
+    at = np.random.default_rng(1).uniform([-0.45, 0.0, -0.45], [0.45, 0.0, 0.45], (2000, 3))
+    at = at[np.abs(at[:, 0]) > 0.1]
+    for depth in (0.0, top / 2, top):
+        points = (at - [0.0, depth, 0.0]) @ turned([turn, 0.3 * turn, 2.0 * turn], 3).T
+        d, _ = mesh_shape.twin(placed, points)
+        if depth == top / 2:
+            assert d.max() < -0.1 * top
+        else:
+            assert np.abs(d).max() < 0.1 * top
+    thick = {name: values for name, values in table(0.1).items()}
+    placed = solids(falling_square(Obstacle.build("mesh", **thick), 1.0, 1e-3))[0].placed
+    assert placed.cell == 1.0 / mesh_shape.CELLS  # as it always was
+
+
+def test_a_mesh_too_thin_for_any_grid_is_refused_by_its_place():
+    thin = table(0.005)
+    key, words = fault(Obstacle.build("mesh", **thin, centre=[10.0, 1.0, 0.0]), 3)
+    place = np.array(re.search(r"thick at \((.*?)\)", words)[1].split(","), float)
+    assert key == "cell" and "0.005 thick" in words and "an obstacle of its own" in words
+    assert 9.5 < place[0] < 10.5 and 0.994 < place[1] < 1.001 and abs(place[2]) < 0.5
+    key, words = fault(Obstacle.build("mesh", **table(0.02), cell=0.02), 3)
+    assert key == "cell" and "cells of 0.02 lose" in words and "leave cell out" in words
+    assert fault(Obstacle.build("mesh", **table(0.02), cell=0.02, least=0.03), 3) is None
+    least = float(re.search(r"least = ([\d.]+)", fault(Obstacle.build("mesh", **thin), 3)[1])[1])
+    assert fault(Obstacle.build("mesh", **thin, least=least), 3) is None
+
+
+@pytest.mark.parametrize("inside_out", [False, True])
+def test_the_thickness_of_a_mesh_is_that_between_its_sides(inside_out):
+    """Of a table by its plate and its foot, whichever way its faces are turned."""
+    mesh = table(0.02)
+    faces = mesh["faces"][:, ::-1] if inside_out else mesh["faces"]
+    found = sampled(mesh["vertices"][faces])
+    top = np.abs(found.points[:, 1]) < 1e-9
+    over_foot = np.abs(found.points[:, 0]) < 0.055
+    np.testing.assert_allclose(found.inwards[top], [[0.0, -1.0, 0.0]] * top.sum(), atol=1e-12)
+    away = np.abs(found.points[:, 0]) > 0.065
+    np.testing.assert_allclose(found.thickness[top & away], 0.02, rtol=2e-2)
+    np.testing.assert_allclose(found.thickness[top & over_foot], 0.4, rtol=2e-2)
+
+
+def test_what_tapers_off_is_no_thin_part():
+    """A cone of 28 degrees ends in a tip that no grid has: it stays as round as a cell."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    rim = np.column_stack([0.25 * np.cos(angle), np.zeros(24), 0.25 * np.sin(angle)])
+    k = np.arange(24)
+    sides = np.column_stack([k, (k + 1) % 24, np.full(24, 24)])
+    base = np.column_stack([(k + 1) % 24, k, np.full(24, 25)])
+    vertices, faces = np.vstack([rim, [[0, 1.0, 0], [0, 0, 0]]]), np.vstack([sides, base])
+    cone = Obstacle.build("mesh", vertices=vertices, faces=faces)
+    assert fault(cone, 3) is None
+    placed = solids(falling_square(cone, 1.0, 1e-3))[0].placed
+    assert placed.cell == 1.0 / mesh_shape.CELLS
