@@ -284,6 +284,19 @@ def test_a_step_that_ends_on_the_surface_is_a_bounce(device, method, fall):
     assert max(heights) == pytest.approx(0.25 * 1.25, rel=0.1) and min(heights) > 0.0
 
 
+@pytest.mark.parametrize(("method", "part"), [("symplectic_euler", 1.0), ("verlet", 0.0)])
+def test_a_ball_that_bounces_loses_energy_by_the_law_of_first_order(device, method, part):
+    """g h t / (2 H) of it in a time t, for a step h and a height H; `verlet` has none of that."""
+    h, height = 1 / 240, 1.0
+    world = World((10.0, 10.0, 10.0), (0.0, -G, 0.0), dt=h, up="y", ground=0.0, contact="resting")
+    ball = Particles.build([[5.0, 0.1 + height, 0.0]], radius=0.1, restitution=1.0)
+    sim = Simulation(Scene("ball", world, ball, Springs.none()), method, execution="serial")
+    sim.advance(int(10 * np.sqrt(8 * height / G) / h))
+    speed = sim.velocities()[0]
+    left = (G * (sim.positions()[0, 1] - 0.1) + 0.5 * speed @ speed) / (G * height)
+    assert 1.0 - left == pytest.approx(part * G * h * sim.time / (2 * height), rel=0.02, abs=2e-3)
+
+
 def one_of_each(**more):
     """An obstacle of each shape, with what lies on top of it, in 3-D."""
     shapes = {

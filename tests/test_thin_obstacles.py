@@ -100,7 +100,7 @@ def test_cells_of_a_mesh_are_as_small_as_its_thinnest_part_asks(turn):
             assert d.max() < -0.1 * top
         else:
             assert np.abs(d).max() < 0.1 * top
-    thick = {name: values for name, values in table(0.1).items()}
+    thick = {name: values for name, values in table(0.2).items()}
     placed = solids(falling_square(Obstacle.build("mesh", **thick), 1.0, 1e-3))[0].placed
     assert placed.cell == 1.0 / mesh_shape.CELLS  # as it always was
 
