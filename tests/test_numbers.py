@@ -15,15 +15,17 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from pool import Pool
 from running_error import Doubt, Twin, calculate_in
+from scipy.integrate import solve_ivp
 from selection import as_thorough
 
 from taichi_cloth import runtime
 from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.limits.auto_step import above_limit
-from taichi_cloth.limits.precision import unresolved
+from taichi_cloth.limits.precision import STIFFEST, too_stiff, unresolved
 from taichi_cloth.scene import library
 from taichi_cloth.scene.model import WALLS, Particles, Scene, Springs, World
 from taichi_cloth.simulation.diagnostics import acceleration_at_start
+from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.trade import ode
 
 FRAMES = 3
@@ -294,3 +296,45 @@ if __name__ == "__main__":
     shared = Pool()
     for some in KINDS:
         print(some, fuzz(shared, some, 50), flush=True)
+
+
+def pendulum(stiffness):
+    """A mass of 1 on a spring of 1, let go at 45 degrees."""
+    angle = np.pi / 4
+    x = np.array([[5.0, 5.0, 0.0], [5.0 + np.sin(angle), 5.0 - np.cos(angle), 0.0]])
+    world = World((20.0, 20.0, 20.0), (0.0, -9.81, 0.0), dt=1 / 60, up="y")
+    ends = Particles.build(x, mass=1.0, radius=0.0, fixed=[True, False])
+    return Scene("pendulum", world, ends, Springs.build([[0, 1]], x, stiffness=stiffness))
+
+
+def test_springs_too_stiff_for_a_precision_are_told_of_and_f64_only_where_it_helps():
+    for precision, most in STIFFEST.items():
+        for method in ("implicit_midpoint", "tr_bdf2"):
+            assert too_stiff(pendulum(0.9 * 9.81 * most), method, precision) is None
+            words = too_stiff(pendulum(1.1 * 9.81 * most), method, precision)
+            assert words.startswith("spring 0 is so stiff") and f"{method} in {precision}" in words
+            assert ("--precision f64" in words) == (precision == "f32")
+            assert too_stiff(pendulum(100 * 9.81 * most), "verlet", precision) is None
+    hopeless = too_stiff(pendulum(1.1 * 9.81 * STIFFEST["f64"]), "tr_bdf2", "f32")
+    assert "f64" not in hopeless and "softer springs" in hopeless
+    free = pendulum(1e15).with_world(gravity=(0.0, 0.0, 0.0))
+    assert too_stiff(free, "tr_bdf2", "f64") is None
+
+
+@pytest.mark.thorough
+def test_a_pendulum_swings_right_up_to_the_stiffness_that_is_told_of(device):
+    """By the pendulum's own equation, two seconds on; well above it, it does not."""
+    start, times = [np.pi / 4, 0.0], (0.0, 2.0)
+    motion = solve_ivp(
+        lambda t, y: [y[1], -9.81 * np.sin(y[0])], times, start, rtol=1e-11, atol=1e-12
+    )
+    ends = motion.y[0, -1]
+    sim, off = None, {}
+    for times in (0.1, 10.0, 100.0):
+        scene = pendulum(9.81 * times * STIFFEST["f64"])
+        sim = sim or Simulation(scene, "implicit_midpoint", substeps=4, topology="graph")
+        sim.load_scene(scene)
+        sim.advance(120)
+        x, y, _ = sim.positions()[1] - sim.positions()[0]
+        off[times] = abs(np.arctan2(x, -y) - ends)
+    assert off[0.1] < 5e-3 and max(off[10.0], off[100.0]) > 0.02

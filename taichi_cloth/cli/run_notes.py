@@ -63,7 +63,7 @@ def announce(sim: Simulation, device: Device, view: View) -> None:
     something that the precision cannot resolve.
     """
     from taichi_cloth.limits.auto_step import above_limit
-    from taichi_cloth.limits.precision import unresolved
+    from taichi_cloth.limits.precision import too_stiff, unresolved
     from taichi_cloth.simulation.diagnostics import acceleration_at_start
 
     print(_first_line(sim, device, view), flush=True)
@@ -72,6 +72,7 @@ def announce(sim: Simulation, device: Device, view: View) -> None:
         unresolved(
             sim.scene, acceleration_at_start(sim.scene), sim.dt, sim.substeps, device.precision
         ),
+        too_stiff(sim.scene, sim.method, device.precision),
     ]
     for warning in filter(None, warnings):
         say(f"warning: {warning}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from taichi_cloth.errors import InputError, RunFailure
 from taichi_cloth.kernels.solvers.stages import HIDDEN, OUTCOMES
+from taichi_cloth.limits.precision import STIFFEST, stiffness_in_loads
 from taichi_cloth.simulation import diagnostics
 from taichi_cloth.simulation.part import Part
 
@@ -53,8 +54,10 @@ class Accounts(Part):
         ended = "" if last.converged else f" (the last one: {last.outcome})"
         remedy = "use softer springs, more --substeps or a larger --tolerance"
         if last.outcome == OUTCOMES[HIDDEN]:  # which no step and no tolerance changes
-            wider = " or --precision f64" * (self._launcher.device.precision != "f64")
-            remedy = f"use softer springs{wider}"
+            loads = stiffness_in_loads(self.scene)
+            better = loads.max(initial=0.0) < STIFFEST["f64"]
+            wider = better and self._launcher.device.precision != "f64"
+            remedy = "use softer springs" + " or --precision f64" * wider
         return (
             f"{work.unconverged} of {work.steps} steps of {self.method} did not converge to a "
             f"relative residual of {tolerance:g}{ended}; remedy: {remedy}"
