@@ -183,8 +183,9 @@ def _unguarded(
 
     i, j = pairs.T
     near = pairs[((position[i] - position[j]) ** 2).sum(axis=1) < _reach2(needed, i, j)]
+    found: np.ndarray = near
     if not len(near):
-        return near
+        return found
     sides = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
     both, count = np.concatenate([sides, sides[:, ::-1]]).T, len(position)
     ring = coo_array((np.ones(len(both[0])), (both[0], both[1])), shape=(count, count)).tocsr()
@@ -192,7 +193,7 @@ def _unguarded(
     for _ in range(RINGS - 1):
         reached = reached + reached @ ring
     neighbours = np.asarray(reached[near[:, 0], near[:, 1]]).ravel() > 0
-    found: np.ndarray = near[~neighbours]
+    found = near[~neighbours]
     return found
 
 
