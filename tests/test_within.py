@@ -265,7 +265,9 @@ def test_what_has_nothing_in_time_asks_for_more(words, tmp_path, monkeypatch, ca
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(command, "measured", nothing)
     assert main([*words, "oscillator", "--quick"]) == 2
-    says = "--within 60 s: not one setting was finished by then; give more time, or fewer --frames"
+    says = (
+        "--within 60 s: not one setting was finished by then; try --within 4min, or fewer --frames"
+    )
     assert capsys.readouterr().err == f"taichi-cloth: error: {says}\n"
 
 

@@ -22,6 +22,7 @@ LOST_REMEDY = (
     "see that there is memory, and room for temporary files (TMPDIR) and in the folder of "
     "--output, and start again"
 )
+FOUR_TIMES = 4  # the time in which not even kernels were compiled, of which nothing is known
 LONGER = 10.0  # times a run: a few of them, their timing, and how wrong they are
 UNTIMED_REMEDY = "see that the scheduler and a worker there answer, and --resume"
 
@@ -88,7 +89,7 @@ class Result:
     def check_some(self, asked: Clock) -> None:
         """Raise InputError where the time that was asked for was over before there was anything."""
         if not self.outcomes and not self.interrupted and asked.limited:
-            more = "give more time"
+            more = f"try --within {rounded_up(FOUR_TIMES * asked.seconds)}"
             if self.longest:
                 needed = rounded_up(asked.seconds + LONGER * self.longest)
                 frames = counted(self.frames or 0, "frame")
