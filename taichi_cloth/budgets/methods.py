@@ -175,7 +175,7 @@ class Rivals:
         """
         found = []
         needed = own.needed or 0.0
-        pressed = self._goal is not None and (own.missed or needed > CLEAR * now)
+        pressed = self._goal is not None and (own.missed or needed > FARTHEST * now)
         for rival in rivals:
             errors = self._errors.get(rival.name)
             if errors is None or rival.name in self._refused:
