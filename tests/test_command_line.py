@@ -4,6 +4,7 @@ import json
 import os
 import re
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -33,6 +34,7 @@ from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import ExplainOptions, RunOptions, parameters_of
 from taichi_cloth.settings.sweeps import StabilityOptions, TradeOptions, TuneOptions
 from taichi_cloth.simulation import autotune
+from taichi_cloth.simulation.checkpoint import Checkpoint
 from taichi_cloth.simulation.prediction import Cost
 
 HEAVY = ("taichi", "matplotlib", "imageio", "scipy", "rich", "PIL")
@@ -692,6 +694,57 @@ def test_a_full_disk_ends_in_one_line_and_spoils_no_other_file(tmp_path, full):
     assert error.count("\n") == 1 and "No space left" in error
     left = {path.name for path in tmp_path.iterdir() if not path.is_symlink()}
     assert left == set(names.values()) - {names[full]}
+
+
+def full_disk(tmp_path, request):
+    """A folder on a disk that is full; where none can be made, a device that always is."""
+    small = tmp_path / "small"
+    small.mkdir()
+    if os.name == "nt" or os.geteuid() != 0:
+        return Path("/dev/full")
+    mount = ["mount", "-t", "tmpfs", "-o", "size=4k", "tmpfs", str(small)]
+    if subprocess.run(mount, capture_output=True).returncode:
+        return Path("/dev/full")
+    request.addfinalizer(lambda: subprocess.run(["umount", str(small)], check=True))
+    (small / "filler").write_bytes(bytes(4096))
+    return small
+
+
+@pytest.mark.parametrize(
+    "full", ["export", *map(as_thorough, ["save", "checkpoint", "record", "image", "video"])]
+)
+def test_where_one_disk_fills_the_other_files_are_whole(tmp_path, full, request):
+    """Whenever it does, as a frame is written or at the end; and end at one frame."""
+    small = full_disk(tmp_path, request)
+    names = {"save": "a.npz", "export": "out", "checkpoint": "a.checkpoint.npz"}
+    names |= {"record": "a.jsonl", "image": "a.png", "video": "a.gif"}
+    folder = tmp_path / "files"
+    folder.mkdir()
+    paths = {name: folder / file for name, file in names.items()}
+    paths[full] = small / names[full]
+    if not small.is_dir():  # whose name has to say what it is
+        kind = {"export": ".npz", "image": ".png", "video": ".gif"}.get(full, "")
+        paths[full] = tmp_path / f"full{kind}"
+        paths[full].symlink_to(small)
+    words = [word for name, path in paths.items() for word in (f"--{name}", path)]
+    _, error = command("run", "cloth", *ON_GRAPH, "--frames", 5, "--headless", *words, check=2)
+    assert error.count("\n") == 1 and "No space left" in error
+    assert {path.name for path in folder.iterdir()} == set(names.values()) - {names[full]}
+    last = [max(trajectories.load(paths["save"]).frame)] if full != "save" else []
+    last += [Checkpoint.load(paths["checkpoint"]).frame] if full != "checkpoint" else []
+    last += [len(list(paths["export"].iterdir()))] if full != "export" else []
+    assert len(set(last)) == 1 and last[0] >= 1
+
+
+def test_a_file_whose_folder_is_removed_is_not_said_to_be_in_it(tmp_path):
+    folder = tmp_path / "gone"
+    folder.mkdir()
+    file = PendingFile(folder / "a.npz")
+    file.write(b"all of it")
+    shutil.rmtree(folder)
+    with pytest.raises(InputError) as error:
+        file.commit()
+    assert str(error.value) == f"{folder / 'a.npz'}: cannot be written: No such file or directory"
 
 
 @pytest.mark.parametrize("words", [["run", "oscillator", "--headless", "--frames", "1"], ["list"]])

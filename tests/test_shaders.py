@@ -5,8 +5,10 @@ import struct
 import subprocess
 import sys
 import textwrap
+from pathlib import Path
 
 import pytest
+import taichi as ti
 from lacking import needs_vulkan
 from selection import thorough
 
@@ -93,6 +95,22 @@ def test_pictures_are_those_of_taichis_own_shaders(tmp_path, scene):
         *shaders.BRANCHES,
         *shaders.SHARED,
     }
+
+
+def test_copies_that_are_damaged_are_not_used(tmp_path, monkeypatch, capsys):
+    """A cut or missing one ended each later run that drew: Taichi draws by its own instead."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    source = Path(ti.__file__).parent / "shaders"
+    folder = shaders._package(source)
+    copy = folder / "shaders" / "Mesh_vk_vert.spv"
+    whole = copy.read_bytes()
+    assert shaders._package(source) == folder and capsys.readouterr().err == ""
+    for damage in (lambda: copy.write_bytes(whole[:-4]), copy.unlink):
+        damage()
+        assert shaders._package(source) is None
+        assert capsys.readouterr().err.count("\n") == 1
+    copy.write_bytes(whole)
+    assert shaders._package(source) == folder
 
 
 @needs_vulkan

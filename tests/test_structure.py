@@ -44,9 +44,10 @@ def imports(path):
 # Which rooms (folders and files of the package's top level) a room may import, beside the GROUND.
 # The order is that of the floors: nothing on the right stands further up.
 BASE = {"files", "kernels", "scene", "settings"}
-GROUND = {"errors", "version"}
+GROUND = {"errors", "signals", "version"}
 ROOMS = {
     "errors": set(),
+    "signals": set(),
     "version": set(),
     "declarations": set(),
     "imports": set(),

@@ -14,10 +14,11 @@ import re
 import signal
 import sys
 from collections.abc import Sequence
-from typing import NoReturn, TextIO
+from typing import TextIO
 
-from taichi_cloth import imports
+from taichi_cloth import imports, signals
 from taichi_cloth.errors import InputError, RunFailure, nearest
+from taichi_cloth.files import pending
 from taichi_cloth.scene.source import DEFAULT_SCENE, names_file
 from taichi_cloth.settings import options, sweeps
 from taichi_cloth.settings.options import PROGRAM
@@ -49,21 +50,8 @@ OWN_WORDS = {"bench": "taichi_cloth.cli.bench", "compare": "taichi_cloth.cli.com
 PLAIN_COMMANDS = {"list": "taichi_cloth.cli.listing", "doctor": "taichi_cloth.cli.doctor"}
 
 
-# Signals that end a run as Ctrl-C does, and that one; of a terminal that is closed, where there are
-# such.
-_ENDING = [
-    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
-]
-
-
 # Of Taichi 1.7.4, CUDA and Vulkan.
 _REFUSED_MEMORY = re.compile(r"memory allocation (\(\d+ B\) |has )?failed|OUT_OF_(\w+_)?MEMORY")
-
-
-class _Ended(KeyboardInterrupt):
-    """One of these signals came. Of a plain one that meets an `exec`, as libraries have it, Python
-    keeps that it has to end by SIGINT, whatever it is told later.
-    """
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -74,23 +62,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
     os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
     # Matrices are small here: threads of OpenBLAS would wait for each other, and for Taichi's.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # A terminated run ends like an interrupted one: with its files saved.
-    with contextlib.suppress(ValueError):  # not in the main thread
-        for number in _ENDING:
-            if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup has it
-                signal.signal(number, _interrupt)
     # A file's name may hold what the terminal's encoding lacks.
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    # A terminated run ends like an interrupted one: with its files saved.
+    with signals.taken(_tell, pending.discard_all, gives_back=arguments is not None) as ending:
+        return _status(words, ending)
+
+
+def _status(arguments: Sequence[str], ending: signals.Ending | None) -> int:
+    """Do what the words say, and tell how it ended; the exit status.
+
+    ending: knows of the signals that came, if it hears them.
+    """
     try:
-        status = _dispatch(list(sys.argv[1:] if arguments is None else arguments))
+        status = _dispatch(arguments)
         sys.stdout.flush()
+        signals.check()
         return status
     except (InputError, RunFailure) as error:
         _say_error(str(error))
         return error.exit_status
     except KeyboardInterrupt as interrupt:
-        return _interrupted(interrupt)
+        return _interrupted(interrupt, ending)
     except BrokenPipeError:
         # The reader went away (`| head`). Python would complain once more at exit.
         _abandon(sys.stdout)
@@ -103,7 +98,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:
         # While a library's compiled part is imported, an interrupt comes as that one's failure.
         if (behind := _interrupt_behind(error)) is not None:
-            return _interrupted(behind)
+            return _interrupted(behind, ending)
         if not _lacks_memory(error):
             raise
         _say_error(f"there is not enough memory ({error}); take fewer particles, or less beside it")
@@ -154,11 +149,18 @@ def _lacks_memory(error: Exception) -> bool:
     return isinstance(error, MemoryError) or bool(of_taichi)
 
 
-def _interrupted(interrupt: KeyboardInterrupt) -> int:
+def _interrupted(interrupt: KeyboardInterrupt, ending: signals.Ending | None) -> int:
     """Say that it was; the exit status."""
-    with contextlib.suppress(OSError):
-        print(f"{PROGRAM}: interrupted", file=sys.stderr)
+    if ending:
+        ending.tell()
+    else:
+        _tell()
     return 128 + int(interrupt.args[0] if interrupt.args else signal.SIGINT)
+
+
+def _tell() -> None:
+    with contextlib.suppress(OSError):
+        signals.say(f"{PROGRAM}: interrupted")
 
 
 def _interrupt_behind(error: BaseException | None) -> KeyboardInterrupt | None:
@@ -168,10 +170,6 @@ def _interrupt_behind(error: BaseException | None) -> KeyboardInterrupt | None:
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error
-
-
-def _interrupt(number: int, _: object) -> NoReturn:
-    raise _Ended(number)
 
 
 def _dispatch(arguments: Sequence[str]) -> int:
@@ -190,7 +188,9 @@ def _dispatch(arguments: Sequence[str]) -> int:
     if command in PLAIN_COMMANDS:
         return _start_plain(command, rest)
     if command in OWN_WORDS:
-        status: int = imports.module(OWN_WORDS[command]).main(rest)
+        main = imports.module(OWN_WORDS[command]).main
+        with signals.raising():
+            status: int = main(rest)
         return status
     raise InputError(f"unknown command '{command}'; {_command_hint(command)}")
 
@@ -203,7 +203,11 @@ def _start_on_scene(command: str, arguments: Sequence[str]) -> int:
     words = scene_command.read(command, settings, arguments, about)
     if words is None:
         return 0
-    status: int = imports.module(module).main(*words)
+    main = imports.module(module).main
+    signals.check()
+    # A run ends between two frames. Studies keep what is finished, and end anywhere.
+    with contextlib.nullcontext() if command == "run" else signals.raising():
+        status: int = main(*words)
     return status
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy
 
-from taichi_cloth import runtime
+from taichi_cloth import runtime, signals
 from taichi_cloth.cli import (
     run_aside,
     run_beside,
@@ -92,8 +92,10 @@ def _simulate(first: Wanted, log: Log | None, resumed: saved.Saved | None) -> in
     device = runtime.start(
         options.arch, options.precision, options.threads, fast_math=options.fast_math
     )
+    signals.check()
     told = run_notes.compiling(scene, options)
     sim = _resumed(scene, options, resumed, told) if resumed else _begun(scene, options, log, told)
+    signals.check()
     run_notes.note_inside(sim, options)
     run_notes.note_rounded(sim, options)
     make = partial(_simulation, sim.scene, told=told)
@@ -131,6 +133,7 @@ def _run_in(window: Window, run: Run, device: Device) -> tuple[int, RunFailure |
     """
     from taichi_cloth.ui import app
 
+    signals.check()
     view, sim, log, beside = window.view, run.sim, run.log, run.beside
     source, options, files = run.of.source, run.of.options, run.of.files
     seed = _seed(options, log)

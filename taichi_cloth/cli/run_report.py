@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from taichi_cloth import signals
 from taichi_cloth.errors import InputError, SimulationFailure
 from taichi_cloth.files.pending import PendingFile, is_device
 from taichi_cloth.settings.options import WRITES, RunOptions, flag_words
@@ -168,7 +169,8 @@ def _write(
     draw = None if file is None else partial(showing.picture, sim)
     untried = "" if options.survivors else UNTRIED
     try:
-        found: PostMortem = examine(sim, words=words, draw=draw, untried=untried)
+        with signals.raising() if failure else contextlib.nullcontext():  # which may take minutes
+            found: PostMortem = examine(sim, words=words, draw=draw, untried=untried)
         if file is not None:
             page.write(found, file)
         _explain(found)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from taichi_cloth import signals
 from taichi_cloth.console import percent
 from taichi_cloth.error_meter.ghost import Ghost
 from taichi_cloth.error_meter.others import Trial
@@ -241,7 +242,8 @@ class ErrorMeter(Listener):
         asked = window, self.trials() if self.trials else ()  # of the run as it is now
         if self._waits:
             begin = time.perf_counter()
-            self._judge(*asked)
+            with signals.raising():  # which may take a minute
+                self._judge(*asked)
             self.waited += time.perf_counter() - begin
         else:
             self._task = threading.Thread(target=self._judge, args=asked, daemon=True)

@@ -15,6 +15,8 @@ from typing import BinaryIO
 
 from taichi_cloth.errors import InputError
 
+_unfinished: set[str] = set()  # files and folders that are being written, under other names
+
 
 class PendingFile:
     """A file being written beside `path`, under another name until `commit`.
@@ -58,6 +60,7 @@ class PendingFile:
             self.file: BinaryIO = _nameless(self.path)
             return
         self.file = os.fdopen(handle, "w+b")
+        _unfinished.add(self._temporary)
         self._forgotten = weakref.finalize(self, _remove, self.file, self._temporary, os.getpid())
 
     def write(self, content: bytes) -> None:
@@ -99,9 +102,12 @@ class PendingFile:
             os.replace(self._temporary, self._target)
         except OSError as error:  # the target became a folder, or is one of a container's mounts
             self._forgotten.detach()
-            reason = f"{error.strerror}; all of it is in {self._temporary}"
+            reason = str(error.strerror)
+            if os.path.exists(self._temporary):  # else its folder was removed
+                reason += f"; all of it is in {self._temporary}"
             raise InputError(f"{self.path}: cannot be written: {reason}") from None
         self._forgotten.detach()
+        _unfinished.discard(self._temporary)
 
     def fill(self, write: Callable[[BinaryIO], object]) -> None:
         """Let `write` write the file, then commit; a disk that is full raises InputError."""
@@ -132,6 +138,22 @@ def _remove(file: BinaryIO, path: str, process: int) -> None:
         file.close()
     with contextlib.suppress(OSError):
         os.unlink(path)
+    _unfinished.discard(path)
+
+
+def unfinished(path: Path) -> None:
+    """Have `discard_all` remove a file or folder, too, that something else writes."""
+    _unfinished.add(str(path))
+
+
+def discard_all() -> None:
+    """Remove all that is not finished, before the process ends at once."""
+    for path in list(_unfinished):
+        if os.path.isdir(path):
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            with contextlib.suppress(OSError):
+                os.unlink(path)
 
 
 def _refuse_kept(target: Path) -> None:

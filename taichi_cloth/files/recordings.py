@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+
 from taichi_cloth.files.exports import Export
 from taichi_cloth.files.trajectory import Recordable, Trajectory
 
@@ -26,9 +28,13 @@ class Recordings:
         return max((part.frames for part in self.by_flag().values()), default=0)
 
     def record(self, sim: Recordable, *, last: bool = False) -> None:
-        """Take note of a simulation's present frame; last: whatever its number is."""
-        for part in self.by_flag().values():
-            part.record(sim, last=last)
+        """Take note of a simulation's present frame; last: whatever its number is.
+
+        Where the disk of one is full, the other has the frame all the same.
+        """
+        with contextlib.ExitStack() as parts:
+            for part in self.by_flag().values():
+                parts.callback(part.record, sim, last=last)
 
     def rewind(self, frame: int) -> None:
         """Forget the frames after `frame`, from which a simulation goes on another way."""

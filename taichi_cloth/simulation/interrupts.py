@@ -56,6 +56,8 @@ class HeldBack:
         if self._came is None:
             self._came = number, frame
         else:
+            came, self._came = self._came, None
+            self._handlers[came[0]](*came)  # the first one first
             self._handlers[number](number, frame)
 
     def _put_back(self) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from taichi_cloth import runtime
 from taichi_cloth.console import progress
-from taichi_cloth.errors import RunFailure
+from taichi_cloth.errors import InputError, RunFailure
 from taichi_cloth.scene.rules import NOTED
 from taichi_cloth.ui import film as films
 from taichi_cloth.ui import rescue
@@ -82,7 +82,7 @@ def run(sim: Simulation, view: View, **asked: Any) -> Summary:
                 bar(loop.state.frames)
         except RunFailure as error:
             failure = error
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, InputError):  # an end that is asked for, or another file's disk
             # What was filmed so far is worth keeping; the caller decides how to end.
             loop.finish(picture_file)
             raise

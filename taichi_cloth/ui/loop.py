@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from taichi_cloth import signals
 from taichi_cloth.errors import InputError, RunFailure, SimulationFailure
 from taichi_cloth.ui import film as films
 from taichi_cloth.ui import hud
@@ -85,6 +86,8 @@ class Loop:
         self._started: float | None = None
         self._simulate, self._draw = 0.0, 0.0
         self._a_frame = TOGETHER  # seconds that the last frames took to simulate, each
+        # What ends the run once its present frame is in all files.
+        self._stop: KeyboardInterrupt | InputError | None = None
         self._resume = 0  # the frame from which a run that failed may go on with what survives
 
     # One turn
@@ -110,7 +113,8 @@ class Loop:
     def turn(self) -> None:
         """Events, at most one frame, draw, and the wait until the next frame is due.
 
-        Of frames that nothing looks at there may be more.
+        Of frames that nothing looks at there may be more. This is the place at which signals end a
+        run: all that it writes has the same last frame here.
         """
         began, before = time.perf_counter(), self.state.frames
         self._entitle()
@@ -137,6 +141,9 @@ class Loop:
         if advanced and self._request.budget:  # whose frame is all of this but the wait
             rest = time.perf_counter() - began - simulate
             self._request.budget.after_frame(simulate, rest)
+        if self._stop:
+            raise self._stop
+        signals.check()
         if seen:
             self._schedule.wait(self.state.stopped)
 
@@ -211,12 +218,17 @@ class Loop:
             self._shown.meter.interrupt()
             self._examine()
             return
+        except KeyboardInterrupt as stop:  # between two frames: this one is whole
+            self._stop = stop
         finally:
             state.frames += self.sim.frame - done
         if self._shown.pair:
             self._shown.pair.note(time.perf_counter() - begin)
         if request.trajectory is not None:
-            request.trajectory.record(self.sim)
+            try:
+                request.trajectory.record(self.sim)
+            except InputError as full:  # a disk: the other files get this frame, too
+                self._stop = full
         if self._travel:
             self._travel.note(state.frames)
 

@@ -14,6 +14,7 @@ import hashlib
 import importlib
 import os
 import shutil
+import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -21,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from taichi_cloth.settings.options import PROGRAM
 from taichi_cloth.simulation import cache
 
 # Of each shader its conditional branches in order, and what their conditions are here; None: left.
@@ -66,9 +68,27 @@ def _package(source: Path) -> Path | None:
         folder = cache.folder() / f"shaders-{digest}"
         if not folder.is_dir():
             _fill(folder, files)
+        if not _is_whole(folder, files):
+            print(
+                f"{PROGRAM}: note: {folder} is damaged, and Taichi's own shaders draw instead; "
+                "remove it to have it made anew",
+                file=sys.stderr,
+            )
+            return None
     except (OSError, KeyError, ValueError):
         return None
     return folder
+
+
+def _is_whole(folder: Path, files: dict[str, bytes]) -> bool:
+    """Whether the copies of an earlier run are what they should be."""
+    for name, content in files.items():
+        try:
+            if (folder / "shaders" / name).read_bytes() != content:
+                return False
+        except OSError:
+            return False
+    return True
 
 
 def _fill(folder: Path, files: dict[str, bytes]) -> None:

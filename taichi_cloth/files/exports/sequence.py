@@ -18,7 +18,7 @@ import numpy as np
 
 from taichi_cloth.errors import InputError, counted
 from taichi_cloth.files.exports.frame import Clock, Frame
-from taichi_cloth.files.pending import creation_mask, refusal
+from taichi_cloth.files.pending import creation_mask, refusal, unfinished
 
 
 class Sequence:
@@ -50,6 +50,7 @@ class Sequence:
             ) from None
         except (OSError, ValueError) as error:
             self._refuse(error)
+        unfinished(self._folder)
 
     def _refuse(self, error: Exception) -> NoReturn:
         raise refusal(f"--export {self._path}", error) from None
