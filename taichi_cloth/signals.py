@@ -38,7 +38,9 @@ class Ending:
     """
 
     def __init__(self, tell: Callable[[], None], clear: Callable[[], None]) -> None:
-        """tell: tells the user once that the program ends. clear: called before it does at once."""
+        """clear, tell: called before the program ends at once; by a handler, in which no stream of
+        Python's is to be used.
+        """
         self.came: list[int] = []
         self.said = self.raises = False
         self._tell, self._clear = tell, clear
@@ -67,12 +69,12 @@ class Ending:
         for number in self._numbers:
             signal.signal(number, signal.SIG_IGN)
 
-    def tell(self) -> None:
+    def tell(self, tell: Callable[[], None]) -> None:
         """Tell the user, once, also where another signal comes meanwhile."""
         with self._no_signal():
             if not self.said:
                 self.said = True
-                self._tell()
+                tell()
 
     @contextlib.contextmanager
     def _no_signal(self) -> Iterator[None]:
@@ -123,7 +125,7 @@ class Ending:
     def _end_now(self) -> NoReturn:
         with contextlib.suppress(Exception):
             self._clear()
-        self.tell()
+        self.tell(self._tell)
         os._exit(128 + self.came[0])
 
 

@@ -50,6 +50,7 @@ OWN_WORDS = {"bench": "taichi_cloth.cli.bench", "compare": "taichi_cloth.cli.com
 PLAIN_COMMANDS = {"list": "taichi_cloth.cli.listing", "doctor": "taichi_cloth.cli.doctor"}
 
 
+INTERRUPTED = f"{PROGRAM}: interrupted"
 # Of Taichi 1.7.4, CUDA and Vulkan.
 _REFUSED_MEMORY = re.compile(r"memory allocation (\(\d+ B\) |has )?failed|OUT_OF_(\w+_)?MEMORY")
 
@@ -67,7 +68,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.reconfigure(errors="backslashreplace")
     words = list(sys.argv[1:] if arguments is None else arguments)
     # A terminated run ends like an interrupted one: with its files saved.
-    with signals.taken(_tell, pending.discard_all, gives_back=arguments is not None) as ending:
+    with signals.taken(
+        _tell_at_once, pending.discard_all, gives_back=arguments is not None
+    ) as ending:
         return _status(words, ending)
 
 
@@ -152,7 +155,7 @@ def _lacks_memory(error: Exception) -> bool:
 def _interrupted(interrupt: KeyboardInterrupt, ending: signals.Ending | None) -> int:
     """Say that it was; the exit status."""
     if ending:
-        ending.tell()
+        ending.tell(_tell)
     else:
         _tell()
     return 128 + int(interrupt.args[0] if interrupt.args else signal.SIGINT)
@@ -160,7 +163,12 @@ def _interrupted(interrupt: KeyboardInterrupt, ending: signals.Ending | None) ->
 
 def _tell() -> None:
     with contextlib.suppress(OSError):
-        signals.say(f"{PROGRAM}: interrupted")
+        print(INTERRUPTED, file=sys.stderr, flush=True)
+
+
+def _tell_at_once() -> None:
+    with contextlib.suppress(OSError):
+        signals.say(INTERRUPTED)
 
 
 def _interrupt_behind(error: BaseException | None) -> KeyboardInterrupt | None:
