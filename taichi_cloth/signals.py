@@ -43,6 +43,7 @@ class Ending:
         """
         self.came: list[int] = []
         self.said = self.raises = False
+        self._busy = False  # tells the user, or ends
         self._tell, self._clear = tell, clear
         self._numbers = [n for n in NUMBERS if signal.getsignal(n) is not signal.SIG_IGN]  # nohup
         self._before = {n: signal.getsignal(n) for n in self._numbers}
@@ -70,23 +71,13 @@ class Ending:
             signal.signal(number, signal.SIG_IGN)
 
     def tell(self, tell: Callable[[], None]) -> None:
-        """Tell the user, once, also where another signal comes meanwhile."""
-        with self._no_signal():
-            if not self.said:
-                self.said = True
-                tell()
-
-    @contextlib.contextmanager
-    def _no_signal(self) -> Iterator[None]:
-        """While it lasts, signals wait, where the system can have them wait."""
-        if not hasattr(signal, "pthread_sigmask"):
-            yield
-            return
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, self._numbers)
-        try:
-            yield
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        """Tell the user, once; a second signal that comes meanwhile waits for it."""
+        if not self.said:
+            self._busy = True
+            tell()
+            self.said, self._busy = True, False
+            if len(self.came) > 1:
+                self._end_now()
 
     def check(self) -> None:
         """Raise Ended where a signal came."""
@@ -117,15 +108,19 @@ class Ending:
             self.came += [n for n in os.read(self._reader, 4096) if n in self._numbers]
         if len(self.came) == before:  # another thread heard it, and is about to write it
             self.came.append(number)
+        if self._busy:
+            return
         if len(self.came) > 1:
             self._end_now()
         if self.raises:
             raise Ended(number)
 
     def _end_now(self) -> NoReturn:
+        self._busy = True
         with contextlib.suppress(Exception):
             self._clear()
-        self.tell(self._tell)
+        if not self.said:
+            self._tell()
         os._exit(128 + self.came[0])
 
 

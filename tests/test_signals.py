@@ -117,11 +117,15 @@ def test_one_signal_at_any_time(tmp_path, seed):
 @thorough
 @pytest.mark.parametrize("seed", range(50))
 def test_two_signals_at_any_time(tmp_path, seed):
-    """What is there is whole, and nothing half-written is left."""
+    """What is there is whole, and nothing half-written is left.
+
+    Of different ones that are sent before the process runs again, systems do not tell the order.
+    """
     chance = random.Random(seed)
     numbers, gap = chance.choices(NUMBERS, k=2), chance.choice([0, 0.001, 0.004, 0.02, 0.2, 1.0])
     status, error = run(tmp_path, chance.uniform(0.7, 8.0), numbers, gap)
-    assert (status, error) == (128 + numbers[0], SAID)
+    first = numbers if gap == 0 else numbers[:1]
+    assert status in [128 + number for number in first] and error == SAID
     last_frames(tmp_path)
 
 
