@@ -227,7 +227,7 @@ LONGEST_NAME = 8
 OUTSIDE = "that is outside the world: click inside it"
 REACH = 1 / 8  # of the picture's shorter side
 DOT = 4.0  # pixels: the radius of what a tool marks
-MARK = (255, 236, 190)  # of what a click would take
+MARK = (255, 168, 48)  # of what a click would take
 FEWEST_PIXELS = 100.0  # a shorter side, where y points down, is not in pixels
 
 M = TypeVar("M")  # what a tool remembers
