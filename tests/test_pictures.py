@@ -62,7 +62,9 @@ def test_keys_save_pictures_and_films_that_replace_none(pool, tmp_path, capsys):
     assert recording[:3] == [False] * 3 and recording[3:9] == [True] * 6 and not recording[10]
     assert any("recording 0 s, paused" in title for title in view.titles)
     first = np.asarray(Image.open(tmp_path / "cloth-2.png"))
-    assert (first == 40).all() and first.shape[0] < SIZE[1]  # the world alone
+    assert (first == 40).all() and first.shape[:2] == SIZE[
+        ::-1
+    ]  # the world alone, in all of the window
 
 
 def test_what_cannot_be_saved_is_told_and_ends_nothing(tmp_path, capsys, monkeypatch):

@@ -291,9 +291,9 @@ def help_lines(
     lines += _drags(tool, space=scene.world.dim == 3)
     what = "fill the picture with what there is", "all of the world, or of what left it"
     lines.append(f"f\t{what[0] if scene.world.dim == 3 else what[1]}")
-    lines.append("z, home\tback to the view before; to that of the start")
+    lines.append("z, home\tthe view before; that of the start")
     lines += [
-        "o\tsettings, live; up down: choose one, left right: change it",
+        "o\tsettings, live; by up down, left right",
         "l\tthe last 10 seconds, to go through",
         ("p" if tool and "space" in tool.modifiers else "space, p") + "\tpause and go on",
         ".  or right arrow\tone frame, while paused",
@@ -314,6 +314,6 @@ def help_lines(
         "w\twrite a checkpoint, for run --resume",
         "x\texport the last 10 seconds",
         "tab or f1\tthis list",
-        "escape\tclose what was opened last, put the tool away; else quit",
+        "escape\tclose the last, put the tool away; else quit",
     ]
     return tuple(lines)
