@@ -186,6 +186,14 @@ def test_explain_and_verbose_say_what_was_taken(cli, tmp_path):
 
 FALLS = METRES.replace("9.81", "1.0") + "dt = 0.01\nsubsteps = 2\n" + SHEET
 OPEN, GIVEN = FALLS, FALLS + "[particle]\nradius = 0.01\nrestitution = 0.0\n"
+PIXELS_OF_MESHES = """
+[world]
+size = [9.0, 9.0, 9.0]
+dt = 0.1
+substeps = 2
+[[meshes]]
+file = "sheet.obj"
+"""
 REFUSED = r"made under model 1, by .*; since then the radius and the restitution .* changed"
 
 
@@ -262,6 +270,27 @@ def test_what_has_changed_is_named(noted, says):
         return rules.refuse_changed(scene, noted, "x")
     with pytest.raises(InputError, match=says):
         rules.refuse_changed(scene, noted, "x")
+
+
+@pytest.mark.parametrize(
+    ("keys", "says"),
+    [
+        ("bending = 1e-5\n", "since then the bending of meshes has changed"),
+        ("", None),
+    ],
+)
+def test_the_bending_that_files_of_meshes_give_has_another_rule(keys, says, tmp_path):
+    """What is listed, as a saved scene has it, is what it was."""
+    (tmp_path / "sheet.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3\nf 2 4 3\n")
+    (tmp_path / "mesh.toml").write_text(PIXELS_OF_MESHES + keys)
+    scene = scenefile.load(tmp_path / "mesh.toml")
+    noted = {"model": 1, "dt": 0.1}
+    if says:
+        with pytest.raises(InputError, match=says):
+            rules.refuse_changed(scene, noted, "x")
+    rules.refuse_changed(scene, {"model": 2}, "x")
+    listed = scene if says is None else scenefile.parse(scenefile.dump(scene))
+    rules.refuse_changed(listed, noted, "x")
 
 
 @pytest.mark.parametrize("name", ["box", "cloth"])
@@ -379,7 +408,7 @@ def test_a_garment_in_millimetres_runs_once_it_is_scaled(cli, tmp_path):
     [("shirt", True), ("flag", False), ("drape", False), ("cloth", False), ("warp", False)],
 )
 def test_masses_of_meshes_have_changed_and_those_of_grids_have_not(name, touched):
-    scene = replace(library.build(name), assumed={})
+    scene = replace(library.build(name), assumed={}, of_meshes=frozenset())
     if touched:
         with pytest.raises(InputError, match="how the vertices of a mesh share its mass has chang"):
             rules.refuse_changed(scene, {"model": 1}, "x")

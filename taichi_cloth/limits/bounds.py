@@ -18,6 +18,7 @@ from taichi_cloth.limits.laplacian import Laplacian
 from taichi_cloth.limits.matrices import largest_eigenvalue, stencil_matrix
 from taichi_cloth.limits.modes import ROUND_OFF, growth, largest_step
 from taichi_cloth.limits.network import Network
+from taichi_cloth.scene.stencils import IN_ROW
 
 BEYOND = 1.000001  # times a step: more than what bisection leaves open
 
@@ -68,8 +69,8 @@ def _pairs(bounds: Bounds) -> list[tuple[float, float]]:
 def gershgorin(network: Network) -> Bounds:
     """Gershgorin's bounds: the largest row sums of |M^-1 K| and |M^-1 C|, in every geometry.
 
-    omega^2 <= max_i (1/m_i) (sum of k to all neighbours + sum of k to free neighbours + sum over
-    stencils of k |weight_i| times the sum of |weight| over free particles).
+    omega^2 <= max_i (1/m_i) (sum of k to all neighbours + sum of k to free neighbours + what
+    stencils add).
     """
     return _bounds(network, *network.once("gershgorin", lambda: _rows_in_every_geometry(network)))
 
@@ -131,8 +132,17 @@ def _bounds(network: Network, stiff: np.ndarray, damped: np.ndarray) -> Bounds:
 
 
 def _rows_of_stencils(network: Network) -> np.ndarray:
-    """What stencils add to the row sums of |M^-1 K|, (n,)."""
+    """What stencils add to the row sums of |M^-1 K|, (n,).
+
+    In rows that is k |weight_i| times the sum of |weight| over free particles. In meshes, where
+    stencils that have the same particles make up for each other, it is that of their matrix.
+    """
     stencils, particles = network.stencils, network.particles
+    if (stencils.sizes > IN_ROW).any():
+        matrix = network.once("stencils", lambda: stencil_matrix(network))
+        free_rows, root = np.zeros(len(particles)), np.sqrt(particles.mass[~particles.fixed])
+        free_rows[~particles.fixed] = (abs(matrix) @ root) / root
+        return free_rows
     weight, of = np.abs(stencils.weight), stencils.owner
     free = weight * ~particles.fixed[stencils.particle]
     total = np.bincount(of, free, len(stencils)) * network.on_curvature

@@ -29,13 +29,14 @@ from taichi_cloth.scene.properties import (
     Rule,
     WorldKey,
 )
-from taichi_cloth.scene.stencils import AT_ONCE, IN_ROW, Stencils
+from taichi_cloth.scene.stencils import IN_ROW, Stencils
 from taichi_cloth.scene.world_keys import world_keys
 from taichi_cloth.settings import accepted
 from taichi_cloth.settings.options import MOST_SUBSTEPS
 
 # Lengths of worlds whose squares, and these times a stiffness, are numbers of double precision.
 SMALLEST_LENGTH, LARGEST_LENGTH = 1e-100, 1e100
+AT_ONCE = 2**14  # stencils that are checked together, inside a processor's cache
 
 Place = Callable[[str, "int | None", "str | None"], str]
 

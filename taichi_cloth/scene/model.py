@@ -428,6 +428,7 @@ class Scene(ByValue):
     file_points: vertices of its mesh files, where particles are fewer: what exports write.
     notes: what was passed over, or joined, as its files were read; no part of its physics.
     assumed: keys of its file that this left open, each with what was taken, in words.
+    of_meshes: keys that its file gives for meshes, of which it has made particles and stencils.
 
     Lists of triangles and obstacles are taken, too. Two scenes are equal where all of this is.
     """
@@ -445,6 +446,7 @@ class Scene(ByValue):
     file_points: FilePoints | None = field(default=None, compare=False)
     notes: tuple[str, ...] = field(default=(), compare=False)
     assumed: Mapping[str, str] = field(default_factory=dict, compare=False)
+    of_meshes: frozenset[str] = field(default=frozenset(), compare=False)
 
     def __post_init__(self) -> None:
         triangles: Any = self.triangles

@@ -79,6 +79,7 @@ CHANGES = (
         lambda scene: scene.name == "sandbox" and scene.world.contact == "resting",
     ),
     Change(2, "how the vertices of a mesh share its mass", _weighed_by_angles),
+    Change(2, "the bending of meshes", lambda scene: "bending" in scene.of_meshes),
 )
 
 

@@ -129,9 +129,12 @@ class SceneReader(TableReader):
         spring_entries = self.entries(table, "springs")
         spring_count = len(spring_entries)
         common = Common(world, particle_defaults, spring_defaults)
+        of_meshes: frozenset[str] = frozenset()
         for kind, read in (("cloths", cloth_tables.read), ("meshes", mesh_tables.read)):
             for index, entry in enumerate(self.entries(table, kind)):
                 sheet, keys = read(self, entry, index, common), frozenset(entry)
+                if kind == "meshes":
+                    of_meshes |= keys
                 self.sources["particle"].append(_Source(count, kind, index, keys))
                 self.sources["spring"].append(_Source(spring_count, kind, index, keys))
                 self.sources["stencil"].append(_Source(len(stencils), kind, index, keys))
@@ -174,6 +177,7 @@ class SceneReader(TableReader):
             file_points=FilePoints.of_sheets(surfaces[0], listed, points),
             notes=tuple(self.notes),
             assumed=assumed,
+            of_meshes=of_meshes,
         )
         return validate(scene, self.place_of_fault)
 
