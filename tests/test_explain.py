@@ -22,6 +22,7 @@ from taichi_cloth.scene.cloth import LINKS
 from taichi_cloth.scene.library import build
 from taichi_cloth.scene.model import Particles, Scene, World
 from taichi_cloth.scene.obstacles import Obstacle
+from taichi_cloth.scene.solids import solids
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.sweeps.within import Clock
 
@@ -99,9 +100,10 @@ def test_a_variant_differs_in_one_feature(name, parameters):
 def test_what_touches_is_switched_part_by_part():
     """Obstacles, their motion, and pairs that rest: each without the others."""
     world = World(size=(9.0,) * 3, gravity=(0.0,) * 3, up="y", contact="resting", collisions=True)
+    world = replace(world, walls=("left", "bottom"), friction=0.2)
     ball = Obstacle.build("sphere", centre=[4.0, 4.0, 0.0], radius=1.0, spin=[0.0, 9.0, 0.0])
-    bodies = Particles.build([[1.0, 1.0, 0.0], [3.0, 1.0, 0.0]], radius=0.1)
-    scene = validate(Scene("touch", replace(world, friction=0.2), bodies, obstacles=(ball,)))
+    bodies = Particles.build([[1.0, 1.0, 0.0], [3.0, 1.0, 0.0]], radius=0.1, restitution=0.3)
+    scene = validate(Scene("touch", world, bodies, obstacles=(ball,)))
     found = {variant.feature: variant.scene for variant in variants(scene, on_graph=True)}
     own = vars(scene.features())
     for feature, gone in (
@@ -112,6 +114,14 @@ def test_what_touches_is_switched_part_by_part():
     ):
         its = vars(validate(found[feature]).features())
         assert {name for name in own if bool(own[name]) != bool(its[name])} == gone
+    pairs = found["resting pairs"]
+    assert pairs.world.contact == "original" and not pairs.world.walls
+    x = np.random.default_rng(1).uniform(0.0, 9.0, (20, 3))
+    for one, other in zip(solids(scene), solids(pairs), strict=True):
+        for theirs, own_ones in zip(other.distances(x, 0.0), one.distances(x, 0.0), strict=True):
+            np.testing.assert_array_equal(theirs, own_ones)
+        assert other.friction == one.friction
+    assert [solid.restitution for solid in solids(pairs)] == [0.0, 0.3, 0.3]
 
 
 def test_links_are_told_apart():

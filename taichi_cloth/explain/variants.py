@@ -13,7 +13,8 @@ from taichi_cloth.kernels.forces.contract import PARTICLE_NUMBER, Variant, has
 from taichi_cloth.scene.cloth import LINKS, grid_stencils
 from taichi_cloth.scene.features import Features
 from taichi_cloth.scene.model import WALLS, Particles, Scene, SpringDefaults, Springs
-from taichi_cloth.scene.obstacles import CONTACTS
+from taichi_cloth.scene.obstacles import CONTACTS, Obstacle
+from taichi_cloth.scene.solids import planes
 from taichi_cloth.scene.spheres import nearness
 from taichi_cloth.scene.stencils import Stencils
 from taichi_cloth.simulation.storage import adjacency
@@ -103,14 +104,23 @@ def _at_rest(scene: Scene) -> Variant:
 
 
 def _original_pairs(scene: Scene) -> Variant:
-    """The scene whose pairs bounce and do not rest; walls are left as they are, or out."""
-    world = scene.world
-    kept = world.ground is not None
-    bounces = scene.with_world(
-        contact=CONTACTS[0], walls=(), friction=world.friction if kept else 0.0
+    """The scene whose pairs bounce and do not rest; what rests on walls does so on planes there."""
+    world, particles = scene.world, scene.particles
+    own = particles.restitution if len(particles) else scene.particle_defaults.restitution
+    walls = tuple(
+        Obstacle.build(
+            "plane",
+            point=point,
+            normal=normal,
+            friction=world.friction,
+            restitution=float(np.median(own)),  # walls have none of their own
+        )
+        for _, point, normal in planes(replace(world, ground=None))
     )
-    about = "pairs rest on each other"
-    return Variant("resting pairs", True, about + " (and walls)" * bool(world.walls), bounces)
+    friction = 0.0 if world.ground is None else world.friction
+    bouncing = replace(world, contact=CONTACTS[0], walls=(), friction=friction)
+    bounces = scene.with_parts(world=bouncing, obstacles=scene.obstacles + walls)
+    return Variant("resting pairs", True, "pairs rest on each other", bounces)
 
 
 def _collisions(scene: Scene) -> Variant:

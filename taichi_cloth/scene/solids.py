@@ -115,7 +115,7 @@ def solids(scene: Scene) -> list[Solid]:
                 None if values["grip"] is None else float(values["grip"]),
             )
         )
-    for name, point, normal in _planes(scene.world):
+    for name, point, normal in planes(scene.world):
         placed = _placed("plane", {"point": point, "normal": normal}, dim, margin)
         found.append(Solid(name, "plane", placed, scene.world.friction, None, *still))
     return found
@@ -123,7 +123,7 @@ def solids(scene: Scene) -> list[Solid]:
 
 def number_of_solids(scene: Scene) -> int:
     """How many `solids` a scene has."""
-    return len(scene.obstacles) + len(list(_planes(scene.world)))
+    return len(scene.obstacles) + len(list(planes(scene.world)))
 
 
 def held(
@@ -167,7 +167,7 @@ def _placed(shape: str, values: Mapping[str, Any], dim: int, margin: float) -> P
     return obstacles.load(shape).place(values, dim, margin)
 
 
-def _planes(world: World) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+def planes(world: World) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
     """Name, a point and the normal of the ground and of resting walls."""
     if world.ground is not None:
         normal = -1.0 * np.array(world.downward)
