@@ -526,32 +526,6 @@ def test_an_obstacle_that_is_no_body_is_refused_by_its_file(tmp_path, content, s
         scenefile.load(scene)
 
 
-def test_a_body_that_is_parted_at_seams_is_joined_and_said(tmp_path):
-    """As a writer parts it where textures begin: at exactly the same place, and no farther."""
-    box = trimesh.creation.box()
-    scene = tmp_path / "scene.toml"
-    scene.write_text(
-        "[world]\nsize = [1.0, 1.0, 1.0]\n[[obstacles]]\nshape = 'mesh'\nfile = 'box.ply'\n"
-    )
-
-    def loaded(corners):
-        trimesh.Trimesh(corners, np.arange(36).reshape(-1, 3), process=False).export(
-            tmp_path / "box.ply"
-        )
-        return scenefile.load(scene)
-
-    corners = box.vertices[box.faces].reshape(-1, 3)
-    found = loaded(corners)
-    says = "28 vertices that lie exactly on others are joined to them, and the body is closed"
-    assert found.notes == (f"{tmp_path}/box.ply: {says}",)
-    body = found.obstacles[0].values
-    made = trimesh.Trimesh(body["vertices"], body["faces"], process=False)
-    assert made.is_watertight and made.volume == pytest.approx(1.0)
-    corners[0] += 1e-6
-    with pytest.raises(InputError, match=r"box.ply: the mesh is not closed"):
-        loaded(corners)
-
-
 def test_a_mesh_hangs_from_its_highest_points(tmp_path):
     """By itself, as a scene: in the air, y up, held at the top; assignments reach its keys."""
     ball = trimesh.creation.icosphere(subdivisions=3)

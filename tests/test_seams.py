@@ -72,7 +72,8 @@ def test_a_seam_that_is_open_is_told_of_and_welded(tmp_path, capsys):
     scene = loaded(tmp_path, "pinned = [15]\n")
     says = (
         f"{path}: 5 vertices of borders lie near another one of a border, and nothing joins them: "
-        "the first is 10, 0.002 from 15; [[meshes]] weld = 0.0021 closes such seams"
+        "the first is 10, 0.002 from 15; --set meshes[0].weld=0.0021, or weld in [[meshes]], "
+        "closes such seams"
     )
     falls = (
         f"{path}: 1 of its 2 parts hangs on nothing and will fall: the first has vertex 0, and is "
@@ -189,3 +190,34 @@ def test_slits_and_whole_sheets_have_no_seam(tmp_path):
     assert loaded(tmp_path).notes == ()
     obj(tmp_path / "cloth.obj", panel(9, 9, (0, 0), (1, 1)))
     assert loaded(tmp_path, "weld = 0.01\n").file_points is None
+
+
+def test_a_body_that_is_parted_at_seams_is_joined_and_said(tmp_path):
+    """As a writer parts it where textures begin: at exactly the same place, and no farther."""
+    box = trimesh.creation.box()
+    scene = tmp_path / "scene.toml"
+    scene.write_text(
+        "[world]\nsize = [1.0, 1.0, 1.0]\n[[obstacles]]\nshape = 'mesh'\nfile = 'box.ply'\n"
+    )
+
+    def loaded(corners):
+        trimesh.Trimesh(corners, np.arange(36).reshape(-1, 3), process=False).export(
+            tmp_path / "box.ply"
+        )
+        return scenefile.load(scene)
+
+    corners = box.vertices[box.faces].reshape(-1, 3)
+    found = loaded(corners)
+    says = "28 vertices that lie exactly on others are joined to them, and the body is closed"
+    assert found.notes == (f"{tmp_path}/box.ply: {says}",)
+    body = found.obstacles[0].values
+    made = trimesh.Trimesh(body["vertices"], body["faces"], process=False)
+    assert made.is_watertight and made.volume == pytest.approx(1.0)
+    with pytest.raises(InputError, match=r"box.ply: the mesh is not closed"):
+        loaded(corners + 1e-6 * np.eye(36, 3))
+    # A whole one that it touches along an edge is another body: an edge there has two faces.
+    whole = trimesh.Trimesh(corners, np.arange(36).reshape(-1, 3), process=False)
+    beside = trimesh.creation.box().apply_translation([1, 1, 0])
+    trimesh.util.concatenate([whole, beside]).export(tmp_path / "box.ply")
+    body = scenefile.load(scene).obstacles[0].values
+    assert trimesh.Trimesh(body["vertices"], body["faces"], process=False).volume == 2.0

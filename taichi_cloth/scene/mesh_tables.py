@@ -68,7 +68,7 @@ def read(reader: TableReader, entry: Table, index: int, common: Common) -> Sheet
         points = FilePoints(of_file.joined, of_file.corners)
         reader.note(file, of_file.surface.notes)
         placed = replace(of_file.surface, vertices=particles.position)
-        reader.note(file, open_seams(placed, points.first))
+        reader.note(file, open_seams(placed, points.first, index))
         return Sheet(particles, springs, triangles, stencils, file, points)
 
 

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from taichi_cloth.files import meshes
-from taichi_cloth.files.meshes.surface import Surface, closed
+from taichi_cloth.files.meshes.seams import closed
+from taichi_cloth.files.meshes.surface import Surface
 from taichi_cloth.settings import accepted
 
 

@@ -12,11 +12,11 @@ from taichi_cloth.scene.model import Particles, Springs
 from taichi_cloth.scene.reading import Sheet
 
 
-def open_seams(surface: Surface, number: np.ndarray) -> Iterator[str]:
+def open_seams(surface: Surface, number: np.ndarray, index: int) -> Iterator[str]:
     """Clauses on vertices of borders near other borders that they are not joined to.
 
-    surface: as it is placed; number: each vertex's own in its file. Vertices at exactly the same
-    place have a note of their own (`cli.run_notes`).
+    surface: as it is placed; number: each vertex's own in its file; index: of its entry in
+    [[meshes]]. Vertices at exactly the same place have a note of their own (`cli.run_notes`).
     """
     found = gaps(surface, usual_reach(surface))
     apart = found.apart > 0
@@ -31,11 +31,11 @@ def open_seams(surface: Surface, number: np.ndarray) -> Iterator[str]:
             most = f", the farthest {off.max():.3g}" if off.max() > off[0] else ""
             yield (
                 f"{lie} {where}, and nothing joins them: the first is {rows[0, 0]}, {off[0]:.3g} "
-                f"from {of}{to}{most}; {_remedy(surface, off)}"
+                f"from {of}{to}{most}; {_remedy(surface, off, index)}"
             )
 
 
-def _remedy(surface: Surface, off: np.ndarray) -> str:
+def _remedy(surface: Surface, off: np.ndarray, index: int) -> str:
     """What joins what is so far apart, if that is less than the shortest edge."""
     corners = surface.vertices[surface.triangles]
     edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
@@ -43,7 +43,7 @@ def _remedy(surface: Surface, off: np.ndarray) -> str:
     digits = 10.0 ** (np.floor(np.log10(most)) - 1)
     length = float(np.ceil(most / digits) * digits)
     if length < edges.min():
-        return f"[[meshes]] weld = {length:.2g} closes such seams"
+        return f"--set meshes[{index}].weld={length:.2g}, or weld in [[meshes]], closes such seams"
     return "where that is a seam, merge the mesh's vertices by distance"
 
 

@@ -143,6 +143,24 @@ def welded(path: Path, surface: Surface, weld: float, scale: float = 1.0) -> Wel
     return Welded(result, joined, corners)
 
 
+def closed(path: Path, surface: Surface) -> Surface:
+    """The surface, closed where its borders lie at exactly the same place, as a writer parts a body
+    where textures begin; unchanged where that does not close it.
+    """
+    if surface.is_closed():
+        return surface
+    try:
+        whole = welded(path, surface, 0.0).surface
+    except InputError:  # what is joined is no sound surface
+        return surface
+    joined = len(surface.vertices) - len(whole.vertices)
+    if not whole.is_closed():
+        return surface
+    lie = "vertex that lies" if joined == 1 else "vertices that lie"
+    note = f"{joined} {lie} exactly on others are joined to them, and the body is closed"
+    return replace(whole, notes=(*surface.notes, note))
+
+
 def _split(surface: Surface, found: Gaps, one: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The triangles, those whose edges have vertices beside them cut there; and of which triangle
     each is, (m,). Corners are vertices of the file.

@@ -69,28 +69,6 @@ class Surface:
         return int(components(ends, len(self.vertices))[0])
 
 
-def closed(path: Path, surface: Surface) -> Surface:
-    """The surface, closed where vertices at exactly the same place are joined, as a writer parts
-    them where textures begin; unchanged where that does not close it.
-    """
-    if surface.is_closed():
-        return surface
-    m = len(surface.triangles)
-    polygons = merged(
-        Polygons(surface.vertices, surface.triangles.ravel(), np.full(m, 3, np.int64))
-    )
-    joined = len(surface.vertices) - len(polygons.vertices)
-    if not joined:
-        return surface
-    lie = "vertex that lies" if joined == 1 else "vertices that lie"
-    note = f"{joined} {lie} exactly on others are joined to them, and the body is closed"
-    try:
-        whole = checked(path, replace(polygons, notes=(*surface.notes, note)))
-    except InputError:  # what is joined is no sound surface
-        return surface
-    return whole if whole.is_closed() else surface
-
-
 def check_counts(path: Path, vertices: int, faces: int) -> None:
     """Refuse a file that says, or shows, that it has more than can be taken in."""
     for count, things in ((vertices, "vertices"), (faces, "faces")):
