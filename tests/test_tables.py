@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 from taichi_cloth import benchmarks, console, runtime
+from taichi_cloth.advice import tune
+from taichi_cloth.advice.choice import Target
 from taichi_cloth.benchmarks import report as bench_report
 from taichi_cloth.cli import doctor
 from taichi_cloth.cli.main import COMMANDS, main
@@ -27,7 +29,8 @@ from taichi_cloth.stability import report as stability_report
 from taichi_cloth.stability.experiment import StepLimits
 from taichi_cloth.sweeps.within import Clock
 from taichi_cloth.trade import report as trade_report
-from taichi_cloth.trade import rows, tune
+from taichi_cloth.trade import rows
+from taichi_cloth.trade.seconds import Second
 from taichi_cloth.trade.settings import Setting
 
 RESULTS = Path(__file__).parent.parent / "bench" / "results" / "amd-epyc-2-cores.csv"
@@ -67,7 +70,9 @@ def made_row(method=LONG, precision="compensated", substeps=4096, error=0.0123, 
     times = {"wall_seconds": seconds, "wall_lower": seconds, "wall_upper": 1.5 * seconds}
     command = " ".join([RUN, *setting.words()])
     counts = {"breaks": 123, "breaks_agreeing": 45, "sweeps": 99999, "force_evaluations": 123456}
-    return rows.Row(setting, **numbers, **times, **counts, frames=240, order=1.98, command=command)
+    judged = [Second(first, error, error) for first in (0, 60, 120, 180)]
+    given = {"frames": 240, "judged": judged, "order": 1.98, "command": command}
+    return rows.Row(setting, **numbers, **times, **counts, **given)
 
 
 def made_rows():
@@ -91,6 +96,7 @@ def show_trade(made, to):
     horizon = SimpleNamespace(frames=240, scale=1.0, what="the scale", describe=lambda: "horizon")
     result = SimpleNamespace(
         scene=SimpleNamespace(name="x"),
+        frames=horizon.frames,
         horizon=horizon,
         reference=None,
         clock=Clock(60.0),
@@ -199,7 +205,7 @@ def test_advice_is_good_cheap_and_lasts():
     rough = [made_row("rk4", "f32", 1, 0.2, 0.1), made_row("rk4", "f32", 2, 0.1, 0.3)]
     assert trade_report.advised(rough) == (rough[1], "the most accurate there is")
     # An error that the reference cannot tell from 3 % is not known to be at most 1 %.
-    hidden = replace(front[1], below_floor=True, floor=0.03, scale=1.0)
+    hidden = replace(front[1], judged=None, frames=60, below_floor=True, floor=0.03, scale=1.0)
     assert trade_report.advised([hidden, front[2]]) == (front[2], why)
     assert trade_report.advised([hidden]) == (hidden, "the most accurate there is")
 
@@ -207,10 +213,10 @@ def test_advice_is_good_cheap_and_lasts():
 def test_tune_fits(width, capsys):
     made = made_rows()
     tried = [tune.Attempt(made[0], made[-1], False), tune.Attempt(made[1], made[1], True)]
-    tune._show("cloth", tune.Target(error=0.01), tried, LEFT_OUT)
+    tune._show("cloth", Target(error=0.01), tried, LEFT_OUT)
     shown = capsys.readouterr().out
     assert_fits(shown, width, *(attempt.row.setting.method for attempt in tried), "particle", "f64")
-    tune._show("cloth", tune.Target(error=0.01), tried[:1] * 12, ())
+    tune._show("cloth", Target(error=0.01), tried[:1] * 12, ())
     shown = capsys.readouterr().out
     assert_fits(shown, width)
     assert RUN not in shown and "and 4 more" in shown
