@@ -87,6 +87,9 @@ class FakeSimulation:
     def unsettled(self):
         return 0
 
+    def unguarded(self):
+        return 0
+
     def advance(self, frames=1):
         self.calls.append(("advance", frames))
         self.frame += frames
