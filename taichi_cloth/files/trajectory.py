@@ -12,6 +12,7 @@ import numpy as np
 
 from taichi_cloth.errors import InputError, counted
 from taichi_cloth.files import archives
+from taichi_cloth.files.meshes.seams import FilePoints
 from taichi_cloth.files.pending import PendingFile
 
 _WHAT = "saved trajectory"
@@ -68,15 +69,6 @@ class _Springs(Protocol):
     def between(self) -> np.ndarray: ...
 
 
-class _FilePoints(Protocol):
-    @property
-    def particle(self) -> np.ndarray: ...
-    @property
-    def corners(self) -> np.ndarray: ...
-    @property
-    def first(self) -> np.ndarray: ...
-
-
 class Exportable(Protocol):
     """What trajectories and exports ask of a scene."""
 
@@ -89,7 +81,7 @@ class Exportable(Protocol):
     @property
     def triangles(self) -> np.ndarray: ...
     @property
-    def file_points(self) -> _FilePoints | None: ...
+    def file_points(self) -> FilePoints | None: ...
 
 
 class Recordable(Protocol):

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from taichi_cloth.files.meshes.seams import FilePoints
 from taichi_cloth.scene import toml
 from taichi_cloth.scene.material import Material
 from taichi_cloth.scene.mesh import OF_THE_MESH, of_surface, sewn
-from taichi_cloth.scene.model import FilePoints
 from taichi_cloth.scene.properties import NOT_NEGATIVE, SPRING_PROPERTIES
 from taichi_cloth.scene.reading import Common, Sheet, Table, TableReader
 from taichi_cloth.scene.seam_notes import open_seams

@@ -11,7 +11,7 @@ Units are the scene's own (the seed's: pixels and frames); y points down, or up 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from operator import attrgetter
@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from taichi_cloth.errors import InputError, counted
+from taichi_cloth.files.meshes.seams import FilePoints
 from taichi_cloth.scene.equality import ByValue, Rows
 from taichi_cloth.scene.features import Features
 from taichi_cloth.scene.holding import Hold
@@ -35,7 +36,7 @@ from taichi_cloth.scene.properties import (
 )
 from taichi_cloth.scene.spheres import Spheres, spheres
 from taichi_cloth.scene.stencils import Stencils
-from taichi_cloth.scene.triangles import springs_of_sides
+from taichi_cloth.scene.triangles import elements, longest_side
 from taichi_cloth.settings import accepted
 
 if TYPE_CHECKING:
@@ -380,41 +381,6 @@ class Springs(Rows, SpringProperties[np.ndarray, np.ndarray, np.ndarray], _Ends)
         return _joined(self, other)
 
 
-@dataclass(frozen=True, eq=False)
-class FilePoints(ByValue):
-    """The vertices that mesh files have, of which welding made one particle of several.
-
-    particle: of each point, (p,) int64. corners: the points at the corners of the surfaces'
-    triangles, (m, 3) int64.
-    """
-
-    particle: np.ndarray
-    corners: np.ndarray
-
-    @property
-    def first(self) -> np.ndarray:
-        """The first point of each particle, (n,)."""
-        points: np.ndarray = np.unique(self.particle, return_index=True)[1]
-        return points
-
-    @classmethod
-    def of_sheets(
-        cls, listed: np.ndarray, count: int, sheets: Sequence[FilePoints]
-    ) -> FilePoints | None:
-        """Those of a scene: of `count` particles by themselves, then of sheets; listed: triangles
-        (m, 3) that come first, by particles. None where each particle has one.
-        """
-        points, corners, size = [np.arange(count)], [np.zeros((0, 3), np.int64)], count
-        for sheet in sheets:
-            corners.append(sum(map(len, points)) + sheet.corners)
-            points.append(size + sheet.particle)
-            size += len(sheet.first)
-        whole = cls(np.concatenate(points), np.concatenate(corners))
-        if len(whole.particle) == size:
-            return None
-        return cls(whole.particle, np.concatenate([whole.first[listed], whole.corners]))
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Scene(ByValue):
     """A whole scene: world, particles, springs, and what clicks and files default to.
@@ -530,34 +496,18 @@ class Scene(ByValue):
 
     @functools.cached_property
     def elements(self) -> np.ndarray:
-        """What of cloths is tested against sharp obstacles, as triangles (m, 3).
-
-        In 3-D the triangles, in 2-D the springs along their sides; in both the springs between
-        particles that are in no triangle, such as those of ropes. Springs are triangles whose last
-        corners are one. Links to the next but one are left out: they are in no cloth's surface.
-        """
-        between = self.springs.between
-        in_triangle = np.zeros(len(self.particles), bool)
-        in_triangle[self.triangles.ravel()] = True
-        as_edge = ~in_triangle[between].any(axis=1)
-        if self.world.dim == 2:
-            sides = springs_of_sides(self.triangles, between)
-            as_edge[sides[sides >= 0]] = True
-        edges = between[as_edge][:, [0, 1, 1]]
-        flat = self.world.dim == 2
-        found: np.ndarray = edges if flat else np.concatenate([self.triangles, edges])
-        return found.astype(np.int64)
+        """What of cloths is tested against sharp obstacles, as triangles (m, 3)."""
+        between, count = self.springs.between, len(self.particles)
+        return elements(self.triangles, between, count, self.world.dim)
 
     @functools.cached_property
     def longest_side(self) -> float:
         """The length of the longest side of `elements`, at the start or, if longer, of its spring
         at rest; 0 where there are none.
         """
-        x = self.particles.position[self.elements]
-        longest = float(np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2).max(initial=0.0))
-        springs = np.unique(springs_of_sides(self.elements, self.springs.between))
-        rest = self.springs.rest_length[springs[springs >= 0]]
-        return max(longest, float(rest.max(initial=0.0)))
+        springs = self.springs
+        x, rest = self.particles.position, springs.rest_length
+        return longest_side(x, self.elements, springs.between, rest)
 
     @functools.cached_property
     def stencil_sides(self) -> tuple[np.ndarray, np.ndarray]:

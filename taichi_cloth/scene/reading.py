@@ -15,10 +15,10 @@ from typing import Any, NoReturn, TypeVar, overload
 import numpy as np
 
 from taichi_cloth.errors import InputError, counted, nearest
+from taichi_cloth.files.meshes.seams import FilePoints
 from taichi_cloth.scene import toml
 from taichi_cloth.scene.assignments import Assignment
 from taichi_cloth.scene.model import (
-    FilePoints,
     ParticleDefaults,
     Particles,
     SpringDefaults,

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 
 from taichi_cloth.errors import counted, nearest
+from taichi_cloth.files.meshes.seams import FilePoints
 from taichi_cloth.scene import cloth_tables, mesh_tables, toml
 from taichi_cloth.scene.assignments import Assignment
 from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.model import (
     MOUSE_MODES,
     WALLS,
-    FilePoints,
     ParticleDefaults,
     Particles,
     Scene,

@@ -74,6 +74,38 @@ def springs_tying(pairs: np.ndarray, between: np.ndarray) -> np.ndarray:
     return np.where(keys[spring] == wanted, spring, found)
 
 
+def elements(triangles: np.ndarray, between: np.ndarray, count: int, dim: int) -> np.ndarray:
+    """What of cloths is tested against sharp obstacles, as triangles (m, 3).
+
+    In 3-D the triangles, in 2-D the springs along their sides; in both the springs between
+    particles that are in no triangle, such as those of ropes. Springs are triangles whose last
+    corners are one. Links to the next but one are left out: they are in no cloth's surface.
+
+    between: (s, 2), what each spring ties; count: how many particles there are.
+    """
+    in_triangle = np.zeros(count, bool)
+    in_triangle[triangles.ravel()] = True
+    as_edge = ~in_triangle[between].any(axis=1)
+    if dim == 2:
+        sides = springs_of_sides(triangles, between)
+        as_edge[sides[sides >= 0]] = True
+    edges = between[as_edge][:, [0, 1, 1]]
+    found: np.ndarray = edges if dim == 2 else np.concatenate([triangles, edges])
+    return found.astype(np.int64)
+
+
+def longest_side(
+    position: np.ndarray, triangles: np.ndarray, between: np.ndarray, rest: np.ndarray
+) -> float:
+    """The length of the longest side of triangles or, if longer, of a side's spring at rest; 0
+    where there are none. between: (s, 2), what each spring ties; rest: (s,), its length at rest.
+    """
+    x = position[triangles]
+    longest = float(np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2).max(initial=0.0))
+    springs = np.unique(springs_of_sides(triangles, between))
+    return max(longest, float(rest[springs[springs >= 0]].max(initial=0.0)))
+
+
 def parted(position: np.ndarray, triangles: np.ndarray, between: np.ndarray) -> np.ndarray:
     """Corners of triangles at exactly the same place that no spring ties, (p, 2): the first that
     stands there, and another. position: (n, dim); between: (s, 2).

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -27,6 +28,41 @@ class Welded:
     surface: Surface
     joined: np.ndarray
     corners: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class FilePoints:
+    """The vertices that mesh files have, of which welding made one particle of several.
+
+    particle: of each point, (p,) int64. corners: the points at the corners of the surfaces'
+    triangles, (m, 3) int64.
+    """
+
+    particle: np.ndarray
+    corners: np.ndarray
+
+    @property
+    def first(self) -> np.ndarray:
+        """The first point of each particle, (n,)."""
+        points: np.ndarray = np.unique(self.particle, return_index=True)[1]
+        return points
+
+    @classmethod
+    def of_sheets(
+        cls, listed: np.ndarray, count: int, sheets: Sequence[FilePoints]
+    ) -> FilePoints | None:
+        """Those of `count` particles by themselves, then of sheets; listed: triangles
+        (m, 3) that come first, by particles. None where each particle has one.
+        """
+        points, corners, size = [np.arange(count)], [np.zeros((0, 3), np.int64)], count
+        for sheet in sheets:
+            corners.append(sum(map(len, points)) + sheet.corners)
+            points.append(size + sheet.particle)
+            size += len(sheet.first)
+        whole = cls(np.concatenate(points), np.concatenate(corners))
+        if len(whole.particle) == size:
+            return None
+        return cls(whole.particle, np.concatenate([whole.first[listed], whole.corners]))
 
 
 @dataclass(frozen=True)
