@@ -11,7 +11,6 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from types import FrameType
@@ -37,14 +36,17 @@ class Ending:
     came: their numbers, the first one first. said: whether the user was told of it.
     """
 
-    def __init__(self, tell: Callable[[], None], clear: Callable[[], None]) -> None:
-        """clear, tell: called before the program ends at once; by a handler, in which no stream of
-        Python's is to be used.
+    def __init__(self, line: str, clear: Callable[[], None]) -> None:
+        """line: what standard error is told before the program ends at once, unless `tell` told it.
+        clear: called before that.
         """
         self.came: list[int] = []
         self.said = self.raises = False
         self._busy = False  # tells the user, or ends
-        self._tell, self._clear = tell, clear
+        self._line, self._clear = f"{line}\n".encode(), clear
+        # A handler may come while a stream of Python's is in use, or while descriptor 2 leads
+        # nowhere, as it does while a library is to be silent.
+        self._error = os.dup(2)
         self._numbers = [n for n in NUMBERS if signal.getsignal(n) is not signal.SIG_IGN]  # nohup
         self._before = {n: signal.getsignal(n) for n in self._numbers}
         # Of several that wait for Python to handle them it would take the least number first. The
@@ -62,8 +64,8 @@ class Ending:
         for number, handler in self._before.items():
             signal.signal(number, handler)
         signal.set_wakeup_fd(self._woken)
-        os.close(self._reader)
-        os.close(self._writer)
+        for descriptor in (self._reader, self._writer, self._error):
+            os.close(descriptor)
 
     def ignore(self) -> None:
         """Pass over what still comes: Python, which ends, would put the system's handlers back."""
@@ -120,7 +122,8 @@ class Ending:
         with contextlib.suppress(Exception):
             self._clear()
         if not self.said:
-            self._tell()
+            with contextlib.suppress(OSError):
+                os.write(self._error, self._line)
         os._exit(128 + self.came[0])
 
 
@@ -128,19 +131,17 @@ _now: list[Ending] = []  # the one that takes signals, if any does
 
 
 @contextlib.contextmanager
-def taken(
-    tell: Callable[[], None], clear: Callable[[], None], *, gives_back: bool
-) -> Iterator[Ending | None]:
+def taken(line: str, clear: Callable[[], None], *, gives_back: bool) -> Iterator[Ending | None]:
     """While it lasts, the first signal is noted, and the second one ends the process.
 
-    tell, clear: as `Ending` takes them. gives_back: whether the handlers are as before afterwards;
+    line, clear: as `Ending` takes them. gives_back: whether the handlers are as before afterwards;
     else the process ends by itself, and no signal changes its status any more. None in another
     thread than the main one, in which no signal is handled.
     """
     if threading.current_thread() is not threading.main_thread():
         yield None
         return
-    ending = Ending(tell, clear)
+    ending = Ending(line, clear)
     _now.append(ending)
     try:
         yield ending
@@ -165,8 +166,3 @@ def raising() -> contextlib.AbstractContextManager[None]:
     if _now and threading.current_thread() is threading.main_thread():
         return _now[-1].raising()
     return contextlib.nullcontext()
-
-
-def say(text: str) -> None:
-    """Write a line to standard error, also within a handler, where its stream may be in use."""
-    os.write(sys.__stderr__.fileno() if sys.__stderr__ else 2, f"{text}\n".encode())

@@ -69,7 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     # A terminated run ends like an interrupted one: with its files saved.
     with signals.taken(
-        _tell_at_once, pending.discard_all, gives_back=arguments is not None
+        INTERRUPTED, pending.discard_all, gives_back=arguments is not None
     ) as ending:
         return _status(words, ending)
 
@@ -164,11 +164,6 @@ def _interrupted(interrupt: KeyboardInterrupt, ending: signals.Ending | None) ->
 def _tell() -> None:
     with contextlib.suppress(OSError):
         print(INTERRUPTED, file=sys.stderr, flush=True)
-
-
-def _tell_at_once() -> None:
-    with contextlib.suppress(OSError):
-        signals.say(INTERRUPTED)
 
 
 def _interrupt_behind(error: BaseException | None) -> KeyboardInterrupt | None:
