@@ -237,11 +237,15 @@ def test_stability_fits(width, capsys):
     assert_fits(shown, width, *(of.method for of in limits), "computed", "measured", "set by")
     table, _, left_out = shown.partition("Left out, for the terminal is narrow: ")
     assert ("Gershgorin" in left_out) is (width < 120) is not ("Gershgorin" in table)
-    stability_report.say_of_wind(np.array([0.0, 0.25, 0.125]))
-    shown = capsys.readouterr().out
-    assert "at its strongest: a rate of 0.25." in " ".join(shown.split())
-    assert_fits(shown, width)
-    stability_report.say_of_wind(np.zeros(3))
+    as_it_starts = {of.method: of.limit.dt for of in limits}
+    for changed, words in ((1.009, ""), (3.0, "limits are: symplectic_euler")):
+        as_it_starts["symplectic_euler"] = changed * drag.dt
+        stability_report.say_of_wind(np.array([0.0, 0.25, 0.125]), limits, as_it_starts)
+        shown = capsys.readouterr().out
+        assert "at its strongest: a rate of 0.25." in " ".join(shown.split())
+        assert words in " ".join(shown.split()) and ("limits are:" in shown) == bool(words)
+        assert_fits(shown, width)
+    stability_report.say_of_wind(np.zeros(3), limits, as_it_starts)
     assert capsys.readouterr().out == ""
 
 

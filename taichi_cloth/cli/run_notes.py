@@ -62,7 +62,7 @@ def announce(sim: Simulation, device: Device, view: View) -> None:
     """Say what runs, and on standard error if its steps are too long to be stable, or if there is
     something that the precision cannot resolve.
     """
-    from taichi_cloth.limits.auto_step import above_limit
+    from taichi_cloth.limits.auto_step import above_limit, above_limit_in_air
     from taichi_cloth.limits.precision import too_stiff, unresolved
     from taichi_cloth.simulation.diagnostics import acceleration_at_start
 
@@ -76,6 +76,9 @@ def announce(sim: Simulation, device: Device, view: View) -> None:
     ]
     for warning in filter(None, warnings):
         say(f"warning: {warning}")
+    in_air = above_limit_in_air(sim.method, sim.scene, sim.dt, sim.substeps)
+    if in_air:
+        say(f"note: {in_air}")
     if sim.scene.features().thick:
         widened = sim.scene.spheres.widened
         for sentence in widened[:MOST_NOTES]:

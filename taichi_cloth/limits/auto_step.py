@@ -7,11 +7,13 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods
 from taichi_cloth.kernels.methods.contract import Method
+from taichi_cloth.limits import tractions
 from taichi_cloth.limits.bounds import (
     AnyGeometry,
     Bounds,
@@ -136,14 +138,14 @@ class SubstepController:
 def above_limit(method: str, scene: Scene, dt: float, substeps: int) -> str | None:
     """One line where a step is too long for a scene's start: by how much, why, what to do.
 
-    None where it is not.
+    None where it is not, or where the air alone makes it so: see `above_limit_in_air`.
 
     method: its name; dt: time of a frame; substeps: steps a frame is cut into.
     """
     module, network = methods.load(method), Network.from_scene(scene)
     step = dt / substeps
     limit = limit_below(step, module, network)
-    if limit is None:
+    if limit is None or _only_by_air(step, module, scene):
         return None
     what = "step" if substeps == 1 else "substep"
     if limit.dt == 0:
@@ -151,15 +153,47 @@ def above_limit(method: str, scene: Scene, dt: float, substeps: int) -> str | No
             f"no {what} of {method} is stable here: {limit.describe()}, is the first to "
             f"grow; use --method {_stable_method()}"
         )
+    return (
+        f"a {what} of {step:.4g} is above {limit.dt:.4g}, the stable limit of {method} here, "
+        f"set by {limit.describe()}; use {_or(_remedies(method, module, network, dt))}"
+    )
+
+
+def above_limit_in_air(method: str, scene: Scene, dt: float, substeps: int) -> str | None:
+    """One line where a step is too long by the air's drag alone; None where it is not.
+
+    That drag is of the strongest wind on the scene's start. It fades as a cloth goes with the
+    wind, so that such a step may do: it is no reason to warn.
+    """
+    module, step = methods.load(method), dt / substeps
+    if not _only_by_air(step, module, scene):
+        return None
+    network = Network.from_scene(scene)
+    limit = limit_below(step, module, network)
+    if limit is None:
+        return None
+    return (
+        f"a {'step' if substeps == 1 else 'substep'} of {step:.4g} is above {limit.dt:.4g}, the "
+        f"limit of {method} by the air's drag on the scene as it starts, in the strongest wind; "
+        "cloth that goes with the wind has less drag. If it fails, use "
+        f"{_or(_remedies(method, module, network, dt))}"
+    )
+
+
+def _only_by_air(step: float, method: Method, scene: Scene) -> bool:
+    """Whether a scene has forces on triangles, and a step is stable without them."""
+    if len(scene.triangles) == 0 or not tractions.present(scene.world):
+        return False
+    calm = replace(scene, world=tractions.without(scene.world))
+    return limit_below(step, method, Network.from_scene(calm)) is None
+
+
+def _remedies(method: str, module: Method, network: Network, dt: float) -> list[str]:
     remedies = []
     with contextlib.suppress(InputError):  # where there are more than there may be
         needed = SubstepController(method, module, dt).choose(network)
         remedies = [f"--substeps {needed}", "--dt auto"]
-    remedies += [f"--method {name}" for name in [_stable_method()] if name != method]
-    return (
-        f"a {what} of {step:.4g} is above {limit.dt:.4g}, the stable limit of {method} here, "
-        f"set by {limit.describe()}; use {_or(remedies)}"
-    )
+    return remedies + [f"--method {name}" for name in [_stable_method()] if name != method]
 
 
 def limit_below(step: float, method: Method, network: Network) -> Limit | None:

@@ -82,7 +82,8 @@ def main(source: SceneSource, options: StabilityOptions) -> int:
         written = report.write(folder, scene, limits, maps, stall)
         if not options.quiet:
             report.show(scene, limits, stall, all_methods=options.method is None)
-            report.say_of_wind(experiment.drag_of_wind(scene) / scene.particles.mass)
+            rates = experiment.drag_of_wind(scene) / scene.particles.mass
+            report.say_of_wind(rates, limits, experiment.as_it_starts(scene, names))
             for line in said_of_left_out(end, left_out):
                 console.say(console.output(), line, hang=2)
             console.say(console.output(), f"\nwritten: {', '.join(map(str, written))}")

@@ -156,6 +156,12 @@ def drag_of_wind(scene: Scene) -> np.ndarray:
     return Network.from_scene(scene, velocity=still).by_triangles[1]
 
 
+def as_it_starts(scene: Scene, names: Sequence[str]) -> dict[str, float]:
+    """By method, the limit with the drag that triangles have as they stand at the start."""
+    network = Network.from_scene(scene)
+    return {name: stable_step(methods.load(name), network, exact=False).dt for name in names}
+
+
 def check_rates(scene: Scene, network: Network) -> None:
     """Raise InputError where the modes of a scene are too fast for what is computed of them."""
     bounds = gershgorin(network)

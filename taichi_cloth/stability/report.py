@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+DIFFERENT = 0.01  # parts by which limits in two winds differ enough to be said
 FILES = ("stability.csv", "stability-map.csv", "stability.png", "stability.svg")
 
 
@@ -135,13 +136,33 @@ def show(scene: Scene, limits: Sequence[StepLimits], stall: Stall, all_methods: 
         console.say(to, f"Left out, for the terminal is narrow: {', '.join(left_out)}.")
 
 
-def say_of_wind(rates: np.ndarray) -> None:
-    """Say what is counted of the wind, where there is any; rates: damping of each particle (n,)."""
-    if rates.max(initial=0.0) > 0:
+def say_of_wind(
+    rates: np.ndarray, limits: Sequence[StepLimits], as_it_starts: Mapping[str, float]
+) -> None:
+    """Say what is counted of the wind, where there is any, and what that does to the table.
+
+    rates: damping of each particle (n,). as_it_starts: by method, the limit with the drag that the
+    triangles have at the scene's start, as they stand.
+    """
+    if not rates.max(initial=0.0) > 0:
+        return
+    to = console.output()
+    console.say(
+        to,
+        f"Of the wind its damping is counted, at its strongest: a rate of {rates.max():.4g}. "
+        "What flutters in it grows at every step: that is physics, and not measured here.",
+    )
+    others = [
+        f"{of.method} {_number(as_it_starts[of.method])}"
+        for of in limits
+        if 0 < of.limit.dt < math.inf
+        and not math.isclose(as_it_starts[of.method], of.limit.dt, rel_tol=DIFFERENT)
+    ]
+    if others:
         console.say(
-            console.output(),
-            f"Of the wind its damping is counted, at its strongest: a rate of {rates.max():.4g}. "
-            "What flutters in it grows at every step: that is physics, and not measured here.",
+            to,
+            "That drag is of triangles across the wind, which bounds it however they turn. "
+            f"As they stand at the start, limits are: {', '.join(others)}.",
         )
 
 
