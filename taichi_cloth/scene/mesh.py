@@ -70,6 +70,13 @@ def mesh(
     Raises InputError for a file that holds no sound surface (`files.meshes.read`), and for values
     that make no sense.
     """
+    for name in numbers:
+        if name not in SPRING_PROPERTIES or name in OF_THE_MESH:
+            raise TypeError(f"mesh() got an unexpected keyword argument '{name}'")
+    if parts is not None:
+        parts = accepted.whole_number("mesh: parts", parts, 1)
+    if accepted.whole_number("mesh: up", up, None) not in (1, -1):
+        raise InputError(f"mesh: up must be 1 or -1, is {up}")
     path = accepted.path("mesh: file", file)
     return of_surface(
         sewn(path, scale, weld),
@@ -114,13 +121,6 @@ def of_surface(
     **numbers: Any,
 ) -> tuple[Particles, Springs, np.ndarray]:
     """`mesh` of a surface whose seams are joined already; path: its file's."""
-    for name in numbers:
-        if name not in SPRING_PROPERTIES or name in OF_THE_MESH:
-            raise TypeError(f"mesh() got an unexpected keyword argument '{name}'")
-    if parts is not None:
-        parts = accepted.whole_number("mesh: parts", parts, 1)
-    if accepted.whole_number("mesh: up", up, None) not in (1, -1):
-        raise InputError(f"mesh: up must be 1 or -1, is {up}")
     surface = of_file.surface
     if parts is not None and surface.parts() != parts:
         has = counted(surface.parts(), "part")
