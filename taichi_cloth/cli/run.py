@@ -107,9 +107,8 @@ def _simulate(first: Wanted, log: Log | None, resumed: saved.Saved | None) -> in
             window.scenes.fixed = "a log is replayed here, and that is of this scene"
         while now is not None:
             frames, missed = _run_in(window, now, device)
-            failure = (
-                failure or _ended(now) or missed
-            )  # which is told last, where the window goes on
+            # Told last, where the window goes on.
+            failure = failure or _ended(now) or missed
             now = window.go_on(frames)
     if failure is not None:
         raise failure

@@ -231,7 +231,7 @@ class HeldBudget:
         return f"hold {goal.words}: {self._held()[0]}, by {how}; now {self.why}"
 
     def missed(self) -> BudgetMissed | None:
-        """What to say of a budget that was not held; None: it was, or nothing was to be."""
+        """The failure of a budget that was not held; None: it was, or nothing was to be."""
         if self._keeper is None or not self._frames:
             return None
         said, kept = self._held()

@@ -96,7 +96,7 @@ class MeasuredErrors:
 
     @property
     def refused(self) -> str:
-        """Why nothing can be measured; "": it can."""
+        """The reason why nothing can be measured; "": it can."""
         return "the error meter is off" if self._meter is None else self._meter.refused
 
     def try_methods(self, trials: Callable[[], Sequence[Trial]] | None) -> None:

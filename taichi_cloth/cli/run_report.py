@@ -79,7 +79,7 @@ class Examining:
         self._sim, self._words, self._tries = sim, words, tries
 
     def examine(self, tell: Callable[[str], None], tries: bool) -> Finding | None:
-        """What there is to say; tell: called with what is being tried; tries: whether anything
+        """The cause that is found; tell: called with what is being tried; tries: whether anything
         is, though it was not asked for at the start.
         """
         from taichi_cloth.post_mortem.examine import examine, flags

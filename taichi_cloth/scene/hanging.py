@@ -102,7 +102,7 @@ def table(path: Path, surface: Surface, given: Mapping[str, Any] | None = None) 
 
 
 def note_of_size(x: np.ndarray, scale: float) -> str | None:
-    """What to say of a mesh (n, 3) that is no garment's size in metres: the scale that makes it so;
+    """A note on a mesh (n, 3) that is no garment's size in metres: the scale that makes it so;
     None: it may be one. scale: that it has.
     """
     size = float(np.ptp(x, axis=0).max())

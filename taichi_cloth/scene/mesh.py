@@ -187,7 +187,7 @@ def _pinned(
     up: int,
     path: Path,
 ) -> np.ndarray:
-    """Which particles never move, (n,) bool; joined: the particle of each vertex of the file."""
+    """The particles that never move, (n,) bool; joined: the particle of each vertex of the file."""
     count = len(joined)
     if isinstance(pinned, Mapping):
         if set(pinned) != {"above"}:

@@ -496,7 +496,7 @@ class Scene(ByValue):
 
     @functools.cached_property
     def elements(self) -> np.ndarray:
-        """What of cloths is tested against sharp obstacles, as triangles (m, 3)."""
+        """Parts of cloths that are tested against sharp obstacles, as triangles (m, 3)."""
         between, count = self.springs.between, len(self.particles)
         return elements(self.triangles, between, count, self.world.dim)
 

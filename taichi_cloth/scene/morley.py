@@ -76,7 +76,7 @@ class Mesh:
 
     @property
     def flat(self) -> np.ndarray:
-        """Which triangles have no area, (t,) bool."""
+        """The triangles that have no area, (t,) bool."""
         thick = (self.height > THINNEST * self.length).all(axis=1)
         flat: np.ndarray = ~(thick & (self.area > SMALLEST))
         return flat
@@ -310,7 +310,7 @@ class _Fit:
 
 
 def curvature_weights(mesh: Mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What each triangle stores, as the sum of squares of weighed sums of particles.
+    """The energy that each triangle stores, as the sum of squares of weighed sums of particles.
 
     That is the integral of the squared second derivatives over it. It has as many sums as it has
     neighbours. Returns where each begins, (m + 1,), particles and weights, (k,) each. A particle is

@@ -47,7 +47,7 @@ class Common:
 
 @dataclass(frozen=True)
 class Sheet:
-    """What an entry stands for, numbered from 0: particles, springs, triangles (m, 3), stencils.
+    """The parts of an entry, numbered from 0: particles, springs, triangles (m, 3), stencils.
 
     file: the mesh file that it is of, and file_points, the vertices that this has.
     """

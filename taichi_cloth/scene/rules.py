@@ -37,7 +37,7 @@ class Change:
 
 
 def _assumes(*keys: str) -> Callable[[Scene], bool]:
-    """Whether the file of a scene leaves any of these keys open."""
+    """A test whether the file of a scene leaves any of these keys open."""
     return lambda scene: any(key in scene.assumed for key in keys)
 
 

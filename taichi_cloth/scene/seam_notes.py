@@ -36,7 +36,7 @@ def open_seams(surface: Surface, number: np.ndarray, index: int) -> Iterator[str
 
 
 def _remedy(surface: Surface, off: np.ndarray, index: int) -> str:
-    """What joins what is so far apart, if that is less than the shortest edge."""
+    """The remedy that joins vertices so far apart, if that is less than the shortest edge."""
     corners = surface.vertices[surface.triangles]
     edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
     most = max(1.01 * float(off.max()), 1e-6 * float(edges.max()))

@@ -84,7 +84,7 @@ class SceneSource:
         return replace(scene, notes=(*scene.notes, f"{path}: {note}")) if note else scene
 
     def _placed(self) -> dict[str, Any]:
-        """How its mesh is placed by assignments; what makes no sense is left to be refused."""
+        """The keys by which assignments place its mesh; nonsense is left to be refused."""
         given: dict[str, Any] = {}
         for entry in self.assignments:
             if entry.keys[:2] == ("meshes", 0) and entry.keys[2:] in PLACING:

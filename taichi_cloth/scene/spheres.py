@@ -206,7 +206,7 @@ def _reach2(needed: np.ndarray, i: np.ndarray, j: np.ndarray) -> np.ndarray:
 
 
 def nearness(position: np.ndarray, of: Spheres) -> str:
-    """What is to be said of the layers of a scene that begin too near; "": there are none."""
+    """A note on the layers of a scene that begin too near; "": there are none."""
     if not len(of.unguarded):
         return ""
     (i, j), count = of.unguarded[0], len(of.unguarded)

@@ -285,12 +285,12 @@ class SceneReader(TableReader):
         return tuple(found)
 
     def particle_defaults(self, table: Table, world: World) -> ParticleDefaults:
-        """What [particle] says; in metres nothing bounces by itself."""
+        """The values that [particle] gives; in metres nothing bounces by itself."""
         given = {key: self.required(table, ("particle",), key, toml.number) for key in table}
         return ParticleDefaults(**({"restitution": 0.0} if world.up else {}) | given)
 
     def assumed(self, table: Table, world: World) -> dict[str, str]:
-        """What a scene in metres takes by itself, by key; the radius is filled in later."""
+        """The values that scenes in metres take by themselves, by key; the radius is filled in later."""
         metres = bool(world.up or table.get("meshes"))
         steps = "as many as are stable"
         taken = {
@@ -307,7 +307,7 @@ class SceneReader(TableReader):
         return found
 
     def with_own_radius(self, count: int) -> np.ndarray:
-        """Which particles have a radius of their own, or of their cloth's thickness, (n,) bool."""
+        """The particles with a radius of their own, or of their cloth's thickness, (n,) bool."""
         own = np.zeros(count, bool)
         for source in self.sources["particle"]:  # in the order of their numbers
             own[source.first :] = bool({"radius", "thickness"} & source.keys)

@@ -120,7 +120,7 @@ def integer(value: Any) -> int:
 
 
 def substeps(value: Any) -> int | str:
-    """How many steps a frame has, or that they are chosen."""
+    """The number of steps that a frame has, or "auto": it is chosen."""
     if value == "auto":
         return "auto"
     try:

@@ -75,7 +75,7 @@ def springs_tying(pairs: np.ndarray, between: np.ndarray) -> np.ndarray:
 
 
 def elements(triangles: np.ndarray, between: np.ndarray, count: int, dim: int) -> np.ndarray:
-    """What of cloths is tested against sharp obstacles, as triangles (m, 3).
+    """Parts of cloths that are tested against sharp obstacles, as triangles (m, 3).
 
     In 3-D the triangles, in 2-D the springs along their sides; in both the springs between
     particles that are in no triangle, such as those of ropes. Springs are triangles whose last
