@@ -290,7 +290,7 @@ class SceneReader(TableReader):
         return ParticleDefaults(**({"restitution": 0.0} if world.up else {}) | given)
 
     def assumed(self, table: Table, world: World) -> dict[str, str]:
-        """The values that scenes in metres take by themselves, by key; the radius is filled in later."""
+        """Values that scenes in metres take by themselves, by key; the radius comes later."""
         metres = bool(world.up or table.get("meshes"))
         steps = "as many as are stable"
         taken = {
