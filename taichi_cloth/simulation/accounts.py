@@ -55,7 +55,7 @@ class Accounts(Part):
         remedy = "use softer springs, more --substeps or a larger --tolerance"
         if last.outcome == OUTCOMES[HIDDEN]:  # which no step and no tolerance changes
             loads = stiffness_in_loads(self.scene)
-            better = loads.max(initial=0.0) < STIFFEST["f64"]
+            better = bool(loads.max(initial=0.0) < STIFFEST["f64"])
             wider = better and self._launcher.device.precision != "f64"
             remedy = "use softer springs" + " or --precision f64" * wider
         return (
