@@ -403,9 +403,18 @@ def test_a_garment_in_millimetres_runs_once_it_is_scaled(cli, tmp_path):
     assert err.count("garments") == 1 and "--set meshes[0].scale=0.001 makes it 0.7 m" in err
 
 
+@pytest.mark.parametrize("name", ["flag", "curtain", "twist"])
+def test_places_where_faces_touch_what_is_sharp_have_changed(name):
+    scene = replace(library.build(name), assumed={})
+    with pytest.raises(InputError, match="the place where a face touches what is sharp has chang"):
+        rules.refuse_changed(scene, {"model": 1}, "x")
+    rules.refuse_changed(scene, rules.NOTED, "x")
+    rules.refuse_changed(replace(scene, obstacles=()), {"model": 1}, "x")
+
+
 @pytest.mark.parametrize(
     ("name", "touched"),
-    [("shirt", True), ("flag", False), ("drape", False), ("cloth", False), ("warp", False)],
+    [("shirt", True), ("trampoline", False), ("drape", False), ("cloth", False), ("warp", False)],
 )
 def test_masses_of_meshes_have_changed_and_those_of_grids_have_not(name, touched):
     scene = replace(library.build(name), assumed={}, of_meshes=frozenset())

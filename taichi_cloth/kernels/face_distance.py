@@ -1,13 +1,21 @@
 """The point of a triangle, or of an edge, that is nearest to an obstacle or deepest in it.
 
-The point is looked for along the sides by bisection, then inwards: by turns to the nearest point of
-the obstacle and back, and by projected gradients, with steps that grow while they lead nearer and
-shrink where they do not (Macklin, Erleben, Mueller, Chentanez, Jeschke, Corse, "Local optimization
-for robust signed distance field collision", 2020).
+The point is looked for along the sides by bisection, then inwards by cutting planes (Kelley, "The
+cutting-plane method for solving convex programs", 1960). The distance from what is convex is
+nowhere below its tangents. Three of them, or sides of the triangle, bound it, and where they meet
+is looked next. The new tangent takes the place of one of them, by a step of the dual simplex
+method. The search ends once their bound is reached. Steps down the slope would not get there: over
+a box's corner a face is nearly level, and the distance rises steeply beyond each edge.
+
+Then come, for what is not convex, turns to the nearest point of the obstacle and back, and
+projected gradients, with steps that grow while they lead nearer and shrink where they do not
+(Macklin, Erleben, Mueller, Chentanez, Jeschke, Corse, "Local optimization for robust signed
+distance field collision", 2020).
 """
 
 import taichi as ti
 
+from taichi_cloth.kernels.obstacles import load
 from taichi_cloth.kernels.obstacles.contract import ROUND
 from taichi_cloth.kernels.obstruction import ROUNDINGS
 from taichi_cloth.kernels.packs import epsilon
@@ -16,7 +24,11 @@ from taichi_cloth.kernels.poses import signed_distance
 ALONG = 4  # looks in search of the nearest point that come before those along sides
 SIDE_TURNS = 4  # looks along each side
 INWARDS = ALONG + 3 * SIDE_TURNS
-TURNS = INWARDS + 16  # looks in all
+DOWNWARDS = INWARDS + 20  # looks where planes meet end, and those down the slope begin
+TURNS = DOWNWARDS + 16  # looks in all
+REACHED = (
+    4e-6  # of the longest side: a distance that is above the planes' bound by less is the least
+)
 
 
 @ti.func
@@ -42,6 +54,9 @@ def nearest(spec: ti.template(), state: ti.template(), o, p, q, r, radii, w, sid
     corner_d, n_p, n_q, n_r, middle = 0.0 * radii, n, n, n, zero
     # A side's bracket: where along it, the distance and its slope, on either side of the minimum.
     low, low_d, low_slope, high, high_d, high_slope = zero, zero, zero, zero, zero, zero
+    # Planes (`_first_planes`), and the one that enters them next; height: -1, there is none.
+    planes, at_last, entering = ti.Matrix.zero(state.real, 3, 3), 0.0 * radii, 0.0 * radii
+    inverse, base, bound, height = planes, zero, zero, zero - 1.0
     turns, trial = 0, 0.0 * radii + 1.0 / 3.0
     if ti.static(spec.dim == 2):
         trial[0], trial[1], trial[2] = 0.5, 0.5, 0.0
@@ -60,7 +75,34 @@ def nearest(spec: ti.template(), state: ti.template(), o, p, q, r, radii, w, sid
                 continue
             at = _between(low, low_d, low_slope, high, high_d, high_slope, turns % 2 == 0)
             trial = here + at * (there - here)
-        elif turns >= INWARDS:
+        elif turns >= INWARDS and turns < DOWNWARDS:
+            across = r - q
+            if across.dot(across) == 0.0:  # an edge
+                turns = DOWNWARDS
+                continue
+            if turns == INWARDS:
+                base = least
+                planes, at_last = _first_planes(_tangent(zero, n, share, p, q, r) / side)
+            for _ in range(4):
+                if height >= 0.0:
+                    planes, at_last = _exchanged(planes, inverse, at_last, entering, height)
+                inverse = planes.inverse()
+                trial, bound = _where_planes_meet(inverse, at_last)
+                height = zero - 1.0
+                if not trial.min() < -1e-6:
+                    break
+                # It is beyond a side that is none of them, which becomes one.
+                beyond = ti.select(trial[1] < trial[0], 1, 0)
+                if trial[2] < ti.min(trial[0], trial[1]):
+                    beyond = 2
+                entering, height = -1.0 * _corner_shares(trial, beyond), zero
+            trial = ti.max(trial, 0.0)
+            total = trial.sum()
+            if not (total > 0.5 and total < 1e6):  # what rounding left of planes that hardly meet
+                turns = DOWNWARDS
+                continue
+            trial /= total
+        elif turns >= DOWNWARDS:
             step = stride
             if turns % 2 == 0:  # to the nearest point of the obstacle, and from there back
                 step = ti.max(least, 0.0) + state.obstacle_numbers[o, ROUND] + 1e-4 * side
@@ -87,7 +129,13 @@ def nearest(spec: ti.template(), state: ti.template(), o, p, q, r, radii, w, sid
                 low, low_d, low_slope = at, d, new_n.dot(edge)
             else:
                 high, high_d, high_slope = at, d, new_n.dot(edge)
-        if turns >= INWARDS and turns % 2 == 1:
+        elif turns < DOWNWARDS:
+            if ti.min(d, least) - base - side * bound <= REACHED * side:
+                turns = ti.select(_is_convex(spec, state, o), TURNS - 1, DOWNWARDS - 1)
+            else:
+                entering = _tangent(d - base, new_n, trial, p, q, r) / side
+                height = zero + 1.0
+        if turns >= DOWNWARDS and turns % 2 == 1:
             stride *= ti.select(nearer, 1.2, 0.4)
         if nearer and turns < TURNS:
             least, share, n = d, trial, new_n
@@ -102,6 +150,79 @@ def nearest(spec: ti.template(), state: ti.template(), o, p, q, r, radii, w, sid
     at = point_of(share, p, q, r)
     lowest = least + ti.min(n.dot(p - at), n.dot(q - at), n.dot(r - at))
     return least, share, n, held, lowest
+
+
+@ti.func
+def _is_convex(spec: ti.template(), state: ti.template(), o):
+    """Whether obstacle o is convex."""
+    convex = False
+    for s in ti.static(range(len(spec.obstacles))):
+        if state.obstacle_shape[o] == s:
+            convex = ti.static(load(spec.obstacles[s]).convex)
+    return convex
+
+
+@ti.func
+def _tangent(d, n, share, p, q, r):
+    """The values (3,) at the corners p, q, r of what is d at a point of theirs, and has slope n."""
+    at = point_of(share, p, q, r)
+    return ti.Vector([d + n.dot(p - at), d + n.dot(q - at), d + n.dot(r - at)])
+
+
+# Three planes bound a distance t from below. Of a plane with the values g at the corners, points
+# with the shares s have t >= g.s if it is a tangent, and 0 >= g.s if it is a side. Column i of
+# `planes` is g0 - g2, g1 - g2, and 1 for a tangent or 0, and at_last[i] is g2: where they meet,
+# (s0, s1, -t) times that column is -g2. The last column of the inverse has their weights in the
+# bound, none of which is negative.
+
+
+@ti.func
+def _first_planes(g):
+    """The tangent g (3,), and the two sides that meet in its lowest corner, as planes."""
+    lowest = ti.select(g[1] < g[0], 1, 0)
+    if g[2] < ti.min(g[0], g[1]):
+        lowest = 2
+    one = _corner_shares(g, (lowest + 1) % 3)
+    other = _corner_shares(g, (lowest + 2) % 3)
+    columns = ti.Matrix.cols(
+        [_column(g, 1.0 + 0.0 * g[0]), _column(-one, 0.0 * g[0]), _column(-other, 0.0 * g[0])]
+    )
+    return columns, ti.Vector([g[2], -one[2], -other[2]])
+
+
+@ti.func
+def _column(g, height):
+    return ti.Vector([g[0] - g[2], g[1] - g[2], height])
+
+
+@ti.func
+def _where_planes_meet(inverse, at_last):
+    """The shares (3,) of the point where three planes meet, and their height there."""
+    s = inverse.transpose() @ (-1.0 * at_last)
+    return ti.Vector([s[0], s[1], 1.0 - s[0] - s[1]]), -1.0 * s[2]
+
+
+@ti.func
+def _exchanged(planes, inverse, at_last, g, height):
+    """The planes with a new one in the place of that whose weight it takes up first.
+
+    g: its values (3,) at the corners; height: 1 of a tangent, 0 of a side.
+    """
+    column = _column(g, height)
+    takes = inverse @ column
+    leaves, least = 0, 1e30 + 0.0 * g[0]
+    for i in ti.static(range(3)):
+        if takes[i] > 1e-6:
+            ratio = ti.max(inverse[i, 2], 0.0) / takes[i]
+            if ratio < least:
+                leaves, least = i, ratio
+    new, new_last = 1.0 * planes, 1.0 * at_last
+    for i in ti.static(range(3)):
+        if leaves == i:
+            new_last[i] = g[2]
+            for row in ti.static(range(3)):
+                new[row, i] = column[row]
+    return new, new_last
 
 
 @ti.func

@@ -14,6 +14,7 @@ import numpy as np
 
 from taichi_cloth.errors import InputError
 from taichi_cloth.scene.model import Scene
+from taichi_cloth.scene.solids import met_by_faces, solids
 from taichi_cloth.scene.triangles import areas, at_corners, corner_shares
 from taichi_cloth.version import __version__
 
@@ -60,6 +61,12 @@ def _weighed_by_angles(scene: Scene) -> bool:
     return bool((~half & (np.ptp(density, axis=1) <= 1e-9 * density[:, 0])).any())
 
 
+def _meets_faces(scene: Scene) -> bool:
+    """Whether a scene in space has triangles, and what is sharp enough to pass between corners."""
+    spatial = scene.world.dim == 3 and len(scene.triangles) > 0
+    return spatial and bool(met_by_faces(scene, solids(scene)))
+
+
 # Whoever changes a rule adds it here, and raises MODEL once a release has the one before.
 CHANGES = (
     Change(
@@ -80,6 +87,7 @@ CHANGES = (
     ),
     Change(2, "how the vertices of a mesh share its mass", _weighed_by_angles),
     Change(2, "the bending of meshes", lambda scene: "bending" in scene.of_meshes),
+    Change(2, "the place where a face touches what is sharp", _meets_faces),
 )
 
 
