@@ -62,22 +62,25 @@ def sampled(corners: np.ndarray) -> Samples:
 
 
 def badly_met(
-    samples: Samples, field: Callable[[np.ndarray], np.ndarray], cell: float, taper: float
+    samples: Samples, field: Callable[[np.ndarray], np.ndarray] | None, cell: float, taper: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """How far a mesh is from where a field of distances has it at its samples, (n,), and which of
     them it does not meet within SHARE of their thickness: lost and rounded, (n,) bool.
 
-    field(points): its distances, (n,); cell: the width of its cells. What is met badly is rounded,
+    field(points): its distances, (n,); None: of a grid that meets all that is thick enough for its
+    cells. cell: their width. What is met badly is rounded,
     not lost, where the mesh tapers off: at most `taper` from there it is TAPERS times as thick, or
     half as much again, and met.
     """
     from scipy.spatial import cKDTree
 
     thickness = samples.thickness
-    error = np.abs(field(samples.points))
+    error = np.zeros(len(thickness)) if field is None else np.abs(field(samples.points))
     badly = (error > SHARE * thickness) | (THINNEST * thickness < cell)
-    depth = np.minimum(thickness / 2.0, 2.0 * cell)
-    solid = ~badly & (field(samples.points + depth[:, None] * samples.inwards) <= -0.25 * depth)
+    solid = ~badly
+    if field is not None:
+        depth = np.minimum(thickness / 2.0, 2.0 * cell)
+        solid &= field(samples.points + depth[:, None] * samples.inwards) <= -0.25 * depth
     rounded = np.zeros(len(error), bool)
     level = np.floor(np.log2(np.where(badly, thickness, 1.0)) * CLASSES)
     for one in np.unique(level[badly]):

@@ -7,9 +7,9 @@ fields: a survey", 2006; near the mesh distances are exact (Ericson, Real-Time C
 5.1.5), beyond it they are from the nearest points that other nodes have found.
 
 The mesh is compared with its own field: at points all over it the distance must be 0 within a tenth
-of its thickness there (`mesh_thickness.py`). Cells are made smaller until it is; where they would
-be too many, or their width is given, the mesh is refused. What tapers off is as round as a cell
-that nobody asked to be smaller.
+of its thickness there (`mesh_thickness.py`). Cells are made as small as its thickness asks, and
+smaller until it is met; where they would be too many, or their width is given, it is refused. What
+tapers off is as round as a cell that nobody asked to be smaller.
 """
 
 import functools
@@ -120,7 +120,7 @@ def refusal(values):
 
 def _lost(values):
     """What is wrong with a mesh whose grid is too coarse for its thin parts."""
-    fit = _fitted(*_of_fit(values, 0.0))
+    fit = _fitted(*_of_fit(values))
     if fit.lost is None:
         return None
     centre = np.zeros(3) if values["centre"] is None else np.asarray(values["centre"], np.float64)
@@ -150,13 +150,14 @@ def _covers_itself(vertices, faces):
 def place(values, dim, margin):
     """The mesh at time 0, with its grid."""
     vertices, faces = _scaled(values), np.asarray(values["faces"], np.int64)
-    fit = _fitted(*_of_fit(values, float(margin)))
-    if fit.lost is not None:  # balls so large leave no nodes for what is thin: without their margin
-        fit = _fitted(*_of_fit(values, 0.0))
-    low, nodes, cell = fit.low, fit.nodes, fit.cell
+    fit = _fitted(*_of_fit(values))
+    cell = fit.cell
+    low, distances = _widened(fit, float(margin), np.ptp(vertices[np.unique(faces)], axis=0))
+    slopes = np.stack(np.gradient(distances, cell), axis=3)
+    nodes = np.concatenate([distances[..., None], slopes], axis=3)
     centre = np.zeros(3) if values["centre"] is None else np.asarray(values["centre"], np.float64)
     bound = float(np.linalg.norm(vertices, axis=1).max())
-    clear = float(min(face.min() for axis in range(3) for face in _sides(nodes[..., 0], axis)))
+    clear = float(min(face.min() for axis in range(3) for face in _sides(distances, axis)))
     # It is no thinner than its cells are wide, but for what tapers off.
     return Placed(
         centre,
@@ -183,65 +184,96 @@ def _scaled(values):
     return np.asarray(values["vertices"], np.float64) * float(values["scale"])
 
 
-def _of_fit(values, margin):
+def _of_fit(values):
     """The arguments of `_fitted`."""
     faces = np.asarray(values["faces"], np.int64)
     cell, least = float(values["cell"] or 0.0), float(values["least"])
-    return _scaled(values).tobytes(), faces.tobytes(), cell, margin, least
+    return _scaled(values).tobytes(), faces.tobytes(), cell, least
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A grid that a mesh is met by: its low corner (3,), cell, distances and normals (.., 4).
+    """A grid that a mesh is met by: its low corner (3,) and cell; of its nodes the points of the
+    mesh that are nearest, (.., 3), and signed distances.
 
-    lost: a point (3,) of the mesh that it is not met at, and its thickness there; None: none.
-    rounded: likewise where it is most rounded off, as it tapers there; and by how much.
+    quickly: whether it has more nodes than usual, none of them asked for. lost: a point (3,) of the
+    mesh that it is not met at, and its thickness there; None: none. rounded: likewise where it is
+    most rounded off, as it tapers there; and by how much.
     """
 
     low: np.ndarray
     cell: float
-    nodes: np.ndarray
+    nearest: np.ndarray
+    distances: np.ndarray
+    quickly: bool
     lost: tuple[np.ndarray, float] | None
     rounded: tuple[np.ndarray, float] | None
 
 
 @functools.lru_cache(maxsize=4)
-def _fitted(vertices, faces, cell, margin, least):
+def _fitted(vertices, faces, cell, least):
     """The coarsest grid by which a mesh is met wherever it is as thick as `least`, as a `Fit`.
 
-    vertices, faces: bytes of float64 and int64 arrays. cell: its width; 0: as is needed. margin:
-    kept free around the mesh [length].
+    Its check and its placing share it. vertices, faces: bytes of float64 and int64 arrays. cell:
+    its width; 0: as is needed, first by the mesh's thickness alone.
     """
     corners = np.frombuffer(vertices).reshape(-1, 3)[np.frombuffer(faces, np.int64).reshape(-1, 3)]
     size = np.ptp(corners, axis=(0, 1))
     usual = float(size.max()) / CELLS
-    finest = _finest(size, margin)
+    finest = _finest(size)
     samples, now = sampled(corners), cell or usual
     samples = Samples(*(rows[samples.thickness >= least] for rows in vars(samples).values()))
+    grid, worst = None, None
     while True:
-        low, nodes = _grid(corners, now, margin, now < usual and not cell)
-        field = functools.partial(_distances_at, low, now, nodes)
+        field = None if grid is None else functools.partial(_distances_at, grid[0], now, grid[2])
         error, lost, rounded = badly_met(samples, field, now, max(usual, cell))
-        worst = None
-        if rounded.any():
+        if grid is not None and rounded.any():
             which = np.where(rounded, error, 0.0).argmax()
             worst = samples.points[which], float(error[which])
+        quickly = now < usual and not cell
         if not lost.any():
-            return Fit(low, now, nodes, None, worst)
+            if grid is not None:
+                return Fit(grid[0], now, *grid[1:], quickly, None, worst)
+            grid = _grid(corners, now, quickly)
+            continue
         thin = samples.thickness[lost]
         if cell or now <= finest or THINNEST * np.median(thin) < finest:
             which = np.flatnonzero(lost)[thin.argmin()]
             place = samples.points[which], float(samples.thickness[which])
-            return Fit(low, cell or finest, nodes, place, worst)
+            none = np.zeros((0, 0, 0))
+            return Fit(np.zeros(3), cell or finest, none, none, quickly, place, worst)
         now = max(finest, min(now / 1.5, max(now / 4.0, 0.5 * float(np.median(thin)))))
+        grid, worst = None, None
 
 
-def _finest(size, margin):
+def _widened(fit, margin, size):
+    """The low corner (3,) of a grid that leaves `margin` free around its mesh, and distances at its
+    nodes; `size`: the mesh's, (3,). The grid is as it was where it would have too many nodes.
+    """
+    more = _room(size, fit.cell, margin) - _room(size, fit.cell, 0.0)
+    layers = max(0, int(np.ceil(more / fit.cell)))
+    counts = np.array(fit.distances.shape) + 2 * layers
+    if layers == 0 or (fit.quickly and counts.prod() > MOST_CHOSEN):
+        return fit.low, fit.distances
+    low, inner = fit.low - layers * fit.cell, (slice(layers, -layers),) * 3
+    nearest, known = np.full((*counts, 3), 1e30), np.zeros(counts, bool)
+    nearest[inner], known[inner] = fit.nearest, True
+    if fit.quickly:
+        _spread(nearest, known)
+    else:
+        _pass_on(nearest, low, fit.cell, counts)
+    at = low + fit.cell * np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=3)
+    distances = np.linalg.norm(at - nearest, axis=3)
+    distances[inner] = fit.distances
+    return low, distances
+
+
+def _finest(size):
     """The width of cells of which a grid around a mesh of this size (3,) has MOST_CHOSEN."""
     low, high = 0.0, float(size.max()) / CELLS
     for _ in range(40):
         middle = 0.5 * (low + high)
-        room = _room(size, middle, margin) if middle > 0 else 0.0
+        room = _room(size, middle, 0.0)
         nodes = np.prod(np.ceil((size + 2.0 * room) / middle) + 1.0)
         low, high = (middle, high) if nodes > MOST_CHOSEN else (low, middle)
     return high
@@ -252,13 +284,14 @@ def _room(size, cell, margin):
     return max((BAND + 0.5) * cell, min(margin + cell, float(size.max())))
 
 
-def _grid(corners, cell, margin, quickly):
-    """The low corner (3,) of a mesh's grid, and distances and normals at its nodes (.., 4).
+def _grid(corners, cell, quickly):
+    """The low corner (3,) of a mesh's grid, the points of the mesh nearest to its nodes, (.., 3),
+    and their signed distances.
 
     corners: (m, 3, 3). quickly: as grids of many nodes need it (`_spread`).
     """
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-    room = _room(high - low, cell, margin)
+    room = _room(high - low, cell, 0.0)
     counts = np.ceil((high - low + 2.0 * room) / cell).astype(np.int64) + 1
     low = 0.5 * (low + high) - 0.5 * cell * (counts - 1)
     # Not through a vertex or along an edge: a line there would cross two faces or none.
@@ -268,14 +301,19 @@ def _grid(corners, cell, margin, quickly):
     at = np.stack(np.meshgrid(*points, indexing="ij"), axis=3)
     distances = np.linalg.norm(at - nearest, axis=3)
     distances[_inside(corners, points)] *= -1.0
-    slopes = np.stack(np.gradient(distances, cell), axis=3)
-    return low, np.concatenate([distances[..., None], slopes], axis=3)
+    return low, nearest, distances
 
 
 def _nearest_points(corners, low, cell, counts, quickly):
-    """The point of the mesh nearest to each node (nx, ny, nz, 3); corners: (m, 3, 3)."""
+    """The point of the mesh nearest to each node (nx, ny, nz, 3); corners: (m, 3, 3).
+
+    A face is looked at only where the ball around it is nearer than any face's middle so far.
+    """
     nearest = np.full((*counts, 3), 1e30)
     best = np.full(counts.prod(), np.inf)
+    reached = best.copy()
+    middles = corners.mean(axis=1)
+    radii = np.linalg.norm(corners - middles[:, None], axis=2).max(axis=1)
     flat = nearest.reshape(-1, 3)
     band = 1 if quickly else BAND
     first = np.maximum(np.floor((corners.min(axis=1) - low) / cell).astype(int) - band, 0)
@@ -290,9 +328,14 @@ def _nearest_points(corners, low, cell, counts, quickly):
         face = mine[row]
         ny, nz = sizes[face, 1], sizes[face, 2]
         node = first[face] + np.column_stack([inner // (ny * nz), inner // nz % ny, inner % nz])
-        point = closest_points(low + cell * node, corners[face])
-        distance = np.linalg.norm(low + cell * node - point, axis=1)
         index = (node[:, 0] * counts[1] + node[:, 1]) * counts[2] + node[:, 2]
+        at = low + cell * node
+        away = np.linalg.norm(at - middles[face], axis=1)
+        np.minimum.at(reached, index, away)
+        near = away - radii[face] <= (1.0 + 1e-9) * reached[index]
+        face, index, at = face[near], index[near], at[near]
+        point = closest_points(at, corners[face])
+        distance = np.linalg.norm(at - point, axis=1)
         order = np.argsort(-distance, kind="stable")  # the last of equal indices is what remains
         index, point, distance = index[order], point[order], distance[order]
         better = distance < best[index]
@@ -374,23 +417,28 @@ def _inside(corners, points):
     """
     x, y, z = points
     crossings = np.zeros((len(x) + 1, len(y), len(z)), np.int64)
-    for a, b, c in corners:
-        ys, zs = (
-            slice(*np.searchsorted(values, [min(t), max(t)]))
-            for values, t in ((y, (a[1], b[1], c[1])), (z, (a[2], b[2], c[2])))
-        )
-        py, pz = y[ys][:, None], z[zs][None, :]
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    y0, y1 = np.searchsorted(y, low[:, 1]), np.searchsorted(y, high[:, 1])
+    z0, z1 = np.searchsorted(z, low[:, 2]), np.searchsorted(z, high[:, 2])
+    lines = (y1 - y0) * (z1 - z0)
+    ends = np.cumsum(lines)
+    begin = 0
+    while begin < len(corners):
+        end = max(begin + 1, int(np.searchsorted(ends, ends[begin] + PAIRS)))
+        row, inner = expanded(lines[begin:end])
+        face = begin + row
+        column, layer = y0[face] + inner // (z1 - z0)[face], z0[face] + inner % (z1 - z0)[face]
+        py, pz = y[column], z[layer]
+        a, b, c = corners[face].transpose(1, 2, 0)
         area = (b[1] - a[1]) * (c[2] - a[2]) - (b[2] - a[2]) * (c[1] - a[1])
-        if area == 0.0 or py.size == 0 or pz.size == 0:
-            continue
-        u = ((b[1] - py) * (c[2] - pz) - (b[2] - pz) * (c[1] - py)) / area
-        v = ((c[1] - py) * (a[2] - pz) - (c[2] - pz) * (a[1] - py)) / area
-        hit = (u >= 0) & (v >= 0) & (u + v <= 1)
-        if hit.any():
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u = ((b[1] - py) * (c[2] - pz) - (b[2] - pz) * (c[1] - py)) / area
+            v = ((c[1] - py) * (a[2] - pz) - (c[2] - pz) * (a[1] - py)) / area
             where = u * a[0] + v * b[0] + (1 - u - v) * c[0]
-            row, column = np.nonzero(hit)
-            first = np.searchsorted(x, where[hit])
-            np.add.at(crossings, (first, row + ys.start, column + zs.start), 1)
+        hit = (area != 0.0) & (u >= 0) & (v >= 0) & (u + v <= 1)
+        first = np.searchsorted(x, where[hit])
+        np.add.at(crossings, (first, column[hit], layer[hit]), 1)
+        begin = end
     odd: np.ndarray = np.cumsum(crossings, axis=0)[:-1] % 2 == 1
     return odd
 
@@ -408,21 +456,22 @@ def twin(placed, q):
 
 
 def _interpolated(low, cell, nodes, q):
-    """What a grid's nodes have, (n, 4), at points (n, 3), and how far these are past it, (n, 3)."""
+    """What a grid's nodes (.., k) have, (n, k), at points (n, 3), and how far these are past it,
+    (n, 3)."""
     count = np.array(nodes.shape[:3])
     at = (q - low) / cell
     inside = np.clip(at, 0.0, count - 1)
     base = np.minimum(inside.astype(np.int64), count - 2)
     part = inside - base
-    value = np.zeros((len(q), 4))
+    value = np.zeros((len(q), nodes.shape[3]))
     for corner in np.ndindex(2, 2, 2):
         weight = np.where(np.array(corner) == 1, part, 1.0 - part).prod(axis=1)
         value += weight[:, None] * nodes[tuple((base + corner).T)]
     return value, (at - inside) * cell
 
 
-def _distances_at(low, cell, nodes, q):
-    return _interpolated(low, cell, nodes, q)[0][:, 0]
+def _distances_at(low, cell, distances, q):
+    return _interpolated(low, cell, distances[..., None], q)[0][:, 0]
 
 
 def surface(placed, extent):
