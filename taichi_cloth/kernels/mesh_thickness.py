@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-BINS = 16, 128  # along the mesh's longest side, at least and at most
+BINS = 16, 256  # along the mesh's longest side, at least and at most
 FACES_OF_BIN = 6  # about, where the surface goes through one
+MOST_ENTRIES = 4_000_000  # of bins, in all: long faces are in many
 FACES, RANDOM, EACH = 6_000, 2_048, 8  # faces sampled; points by area; points of a face, at most
 TILT = 2e-3  # of a ray, which then goes through no edge
 SHARE = 0.1  # of its thickness, within which a grid is to meet it
@@ -104,16 +105,24 @@ class _Bins:
     def __init__(self, corners: np.ndarray):
         low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
         self.corners = corners
-        least, most = BINS
-        along = min(max(least, int(np.sqrt(len(corners) / FACES_OF_BIN))), most)
+        self.middles = corners.mean(axis=1)
+        self.radii2 = ((corners - self.middles[:, None]) ** 2).sum(axis=2).max(axis=1)
         self.size = float((high - low).max())
-        self.width = self.size / along
-        self.low = low - self.width
-        self.counts = np.ceil((high + self.width - self.low) / self.width).astype(np.int64)
-        pad = 0.26 * self.width  # half a piece of a ray, and rounding
-        first = np.floor((corners.min(axis=1) - pad - self.low) / self.width).astype(np.int64)
-        last = np.floor((corners.max(axis=1) + pad - self.low) / self.width).astype(np.int64)
-        sizes = last - first + 1
+        least, most = BINS
+        # By the area that most faces have: they are small where a body is fine, as its hands are.
+        width = np.sqrt(0.5 * FACES_OF_BIN * np.median(np.linalg.norm(_normals(corners), axis=1)))
+        along = min(max(least, int(self.size / max(width, self.size / most))), most)
+        while True:
+            self.width = self.size / along
+            self.low = low - self.width
+            self.counts = np.ceil((high + self.width - self.low) / self.width).astype(np.int64)
+            pad = 0.26 * self.width  # half a piece of a ray, and rounding
+            first = np.floor((corners.min(axis=1) - pad - self.low) / self.width).astype(np.int64)
+            last = np.floor((corners.max(axis=1) + pad - self.low) / self.width).astype(np.int64)
+            sizes = last - first + 1
+            if along <= least or sizes.prod(axis=1).sum() <= MOST_ENTRIES:
+                break
+            along = max(least, along // 2)
         face, inner = expanded(sizes.prod(axis=1))
         ny, nz = sizes[face, 1], sizes[face, 2]
         at = first[face] + np.column_stack([inner // (ny * nz), inner // nz % ny, inner % nz])
@@ -125,6 +134,14 @@ class _Bins:
     def _number(self, at: np.ndarray) -> np.ndarray:
         number: np.ndarray = (at[:, 0] * self.counts[1] + at[:, 1]) * self.counts[2] + at[:, 2]
         return number
+
+    def _near(self, points: np.ndarray, ways: np.ndarray, face: np.ndarray) -> np.ndarray:
+        """Which rays, (n,), come into the ball around their face, (n,) bool: a quick look first."""
+        away = self.middles[face] - points
+        along, way2 = np.einsum("nd,nd->n", away, ways), np.einsum("nd,nd->n", ways, ways)
+        away2 = np.einsum("nd,nd->n", away, away)
+        near: np.ndarray = away2 * way2 - along**2 <= self.radii2[face] * way2 + 1e-12 * away2
+        return near
 
     def crossed(
         self, points: np.ndarray, ways: np.ndarray
@@ -143,6 +160,8 @@ class _Bins:
             active, number = active[here], self._number(at[here])
             row, inner = expanded(self.start[number + 1] - self.start[number])
             ray, face = active[row], self.face[self.start[number][row] + inner]
+            near = self._near(points[ray], ways[ray], face)
+            ray, face = ray[near], face[near]
             t, hit = _met(points[ray], ways[ray], self.corners[face])
             hit &= (t >= k * piece) & (t < (k + 1) * piece) & (t > own)
             ray, face, t = ray[hit], face[hit], t[hit]

@@ -435,7 +435,7 @@ def _inside(corners, points):
             u = ((b[1] - py) * (c[2] - pz) - (b[2] - pz) * (c[1] - py)) / area
             v = ((c[1] - py) * (a[2] - pz) - (c[2] - pz) * (a[1] - py)) / area
             where = u * a[0] + v * b[0] + (1 - u - v) * c[0]
-        hit = (area != 0.0) & (u >= 0) & (v >= 0) & (u + v <= 1)
+            hit = (area != 0.0) & (u >= 0) & (v >= 0) & (u + v <= 1)
         first = np.searchsorted(x, where[hit])
         np.add.at(crossings, (first, column[hit], layer[hit]), 1)
         begin = end
