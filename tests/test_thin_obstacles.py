@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 
+from taichi_cloth.kernels import mesh_thickness
 from taichi_cloth.kernels.faces import LEAST_ROOM
 from taichi_cloth.kernels.mesh_thickness import sampled
 from taichi_cloth.kernels.obstacles import mesh as mesh_shape
@@ -144,3 +145,43 @@ def test_what_tapers_off_is_no_thin_part():
     assert fault(cone, 3) is None
     placed = solids(falling_square(cone, 1.0, 1e-3))[0].placed
     assert placed.cell == 1.0 / mesh_shape.CELLS
+
+
+def test_a_mesh_is_checked_and_placed_by_one_grid(monkeypatch):
+    """Whatever room balls need; the nodes around it are as far from it as they are."""
+    built, build = [], mesh_shape._grid
+    monkeypatch.setattr(mesh_shape, "_grid", lambda *given: built.append(given) or build(*given))
+    mesh_shape._fitted.cache_clear()
+    values = {**table(0.13, 11.0), "least": 0.0, "scale": 1.0, "turn": np.zeros(3)}
+    values |= dict.fromkeys(("file", "cell", "centre"))
+    assert mesh_shape.refusal(values) is None
+    near, wide = (mesh_shape.place(values, 3, margin) for margin in (0.01, 0.2))
+    assert len(built) == 1 and wide.sizes[0] >= 0.2
+    layers = (np.array(wide.nodes.shape) - near.nodes.shape)[0] // 2
+    inner = wide.nodes[(slice(layers, -layers),) * 3]
+    np.testing.assert_array_equal(inner[..., 0], near.nodes[..., 0])
+    np.testing.assert_allclose(wide.low + layers * wide.cell, near.low)
+    at = np.argwhere(np.ones(wide.nodes.shape[:3]))[::97]
+    corners = wide.vertices[wide.faces]
+    for node in at:
+        point = np.repeat([wide.low + wide.cell * node], len(corners), axis=0)
+        away = np.linalg.norm(mesh_shape.closest_points(point, corners) - point, axis=1).min()
+        assert abs(abs(wide.nodes[tuple(node)][0]) - away) < 0.05 * away + 1e-9
+
+
+def test_rays_cross_what_every_face_tested_says():
+    """Bins and a look at balls around faces leave no crossing out."""
+    rng = np.random.default_rng(3)
+    mesh = table(0.02, 23.0)
+    corners = mesh["vertices"][mesh["faces"]]
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    points, ways = rng.uniform(low, high, (300, 3)), rng.standard_normal((300, 3))
+    ways /= np.linalg.norm(ways, axis=1)[:, None]
+    nearest, which, crossings = mesh_thickness._Bins(corners).crossed(points, ways)
+    ray, face = (row.ravel() for row in np.indices((len(points), len(corners))))
+    t, hit = mesh_thickness._met(points[ray], ways[ray], corners[face])
+    t = np.where(hit & (t > 0), t, np.inf).reshape(len(points), -1)
+    np.testing.assert_array_equal(crossings, np.isfinite(t).sum(axis=1))
+    np.testing.assert_array_equal(nearest, t.min(axis=1))
+    met = np.isfinite(nearest)
+    assert 50 < met.sum() < 250 and (which[met] == t[met].argmin(axis=1)).all()
