@@ -152,7 +152,7 @@ def place(values, dim, margin):
     vertices, faces = _scaled(values), np.asarray(values["faces"], np.int64)
     fit = _fitted(*_of_fit(values))
     cell = fit.cell
-    low, distances = _widened(fit, float(margin), np.ptp(vertices[np.unique(faces)], axis=0))
+    low, distances = _widened(fit, float(margin), vertices[faces])
     slopes = np.stack(np.gradient(distances, cell), axis=3)
     nodes = np.concatenate([distances[..., None], slopes], axis=3)
     centre = np.zeros(3) if values["centre"] is None else np.asarray(values["centre"], np.float64)
@@ -193,8 +193,7 @@ def _of_fit(values):
 
 @dataclass(frozen=True)
 class Fit:
-    """A grid that a mesh is met by: its low corner (3,) and cell; of its nodes the points of the
-    mesh that are nearest, (.., 3), and signed distances.
+    """A grid that a mesh is met by: its low corner (3,), cell, and signed distances at its nodes.
 
     quickly: whether it has more nodes than usual, none of them asked for. lost: a point (3,) of the
     mesh that it is not met at, and its thickness there; None: none. rounded: likewise where it is
@@ -203,7 +202,6 @@ class Fit:
 
     low: np.ndarray
     cell: float
-    nearest: np.ndarray
     distances: np.ndarray
     quickly: bool
     lost: tuple[np.ndarray, float] | None
@@ -225,7 +223,7 @@ def _fitted(vertices, faces, cell, least):
     samples = Samples(*(rows[samples.thickness >= least] for rows in vars(samples).values()))
     grid, worst = None, None
     while True:
-        field = None if grid is None else functools.partial(_distances_at, grid[0], now, grid[2])
+        field = None if grid is None else functools.partial(_distances_at, grid[0], now, grid[1])
         error, lost, rounded = badly_met(samples, field, now, max(usual, cell))
         if grid is not None and rounded.any():
             which = np.where(rounded, error, 0.0).argmax()
@@ -234,38 +232,28 @@ def _fitted(vertices, faces, cell, least):
         if not lost.any():
             if grid is not None:
                 return Fit(grid[0], now, *grid[1:], quickly, None, worst)
-            grid = _grid(corners, now, quickly)
+            grid = _grid(corners, now, 0.0, quickly)
             continue
         thin = samples.thickness[lost]
         if cell or now <= finest or THINNEST * np.median(thin) < finest:
             which = np.flatnonzero(lost)[thin.argmin()]
             place = samples.points[which], float(samples.thickness[which])
             none = np.zeros((0, 0, 0))
-            return Fit(np.zeros(3), cell or finest, none, none, quickly, place, worst)
+            return Fit(np.zeros(3), cell or finest, none, quickly, place, worst)
         now = max(finest, min(now / 1.5, max(now / 4.0, 0.5 * float(np.median(thin)))))
         grid, worst = None, None
 
 
-def _widened(fit, margin, size):
-    """The low corner (3,) of a grid that leaves `margin` free around its mesh, and distances at its
-    nodes; `size`: the mesh's, (3,). The grid is as it was where it would have too many nodes.
+def _widened(fit, margin, corners):
+    """The low corner (3,) of a grid that leaves `margin` free around its mesh, (m, 3, 3), and
+    distances at its nodes: those of its fit, if that does, or if a larger one had too many nodes.
     """
-    more = _room(size, fit.cell, margin) - _room(size, fit.cell, 0.0)
-    layers = max(0, int(np.ceil(more / fit.cell)))
-    counts = np.array(fit.distances.shape) + 2 * layers
-    if layers == 0 or (fit.quickly and counts.prod() > MOST_CHOSEN):
+    size = np.ptp(corners, axis=(0, 1))
+    if _room(size, fit.cell, margin) <= _room(size, fit.cell, 0.0):
         return fit.low, fit.distances
-    low, inner = fit.low - layers * fit.cell, (slice(layers, -layers),) * 3
-    nearest, known = np.full((*counts, 3), 1e30), np.zeros(counts, bool)
-    nearest[inner], known[inner] = fit.nearest, True
-    if fit.quickly:
-        _spread(nearest, known)
-    else:
-        _pass_on(nearest, low, fit.cell, counts)
-    at = low + fit.cell * np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=3)
-    distances = np.linalg.norm(at - nearest, axis=3)
-    distances[inner] = fit.distances
-    return low, distances
+    if fit.quickly and _counts(size, fit.cell, margin).prod() > MOST_CHOSEN:
+        return fit.low, fit.distances
+    return _grid(corners, fit.cell, margin, fit.quickly)
 
 
 def _finest(size):
@@ -284,15 +272,19 @@ def _room(size, cell, margin):
     return max((BAND + 0.5) * cell, min(margin + cell, float(size.max())))
 
 
-def _grid(corners, cell, quickly):
-    """The low corner (3,) of a mesh's grid, the points of the mesh nearest to its nodes, (.., 3),
-    and their signed distances.
+def _counts(size, cell, margin):
+    """How many nodes a grid around a mesh of this size (3,) has along each axis, (3,)."""
+    room = _room(size, cell, margin)
+    return np.ceil((size + 2.0 * room) / cell).astype(np.int64) + 1
+
+
+def _grid(corners, cell, margin, quickly):
+    """The low corner (3,) of a mesh's grid, and signed distances at its nodes.
 
     corners: (m, 3, 3). quickly: as grids of many nodes need it (`_spread`).
     """
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-    room = _room(high - low, cell, 0.0)
-    counts = np.ceil((high - low + 2.0 * room) / cell).astype(np.int64) + 1
+    counts = _counts(high - low, cell, margin)
     low = 0.5 * (low + high) - 0.5 * cell * (counts - 1)
     # Not through a vertex or along an edge: a line there would cross two faces or none.
     low = low + cell * np.array([0.0, 1.37e-5, 2.71e-5])
@@ -301,7 +293,7 @@ def _grid(corners, cell, quickly):
     at = np.stack(np.meshgrid(*points, indexing="ij"), axis=3)
     distances = np.linalg.norm(at - nearest, axis=3)
     distances[_inside(corners, points)] *= -1.0
-    return low, nearest, distances
+    return low, distances
 
 
 def _nearest_points(corners, low, cell, counts, quickly):
