@@ -182,12 +182,13 @@ def _first_planes(g):
     lowest = ti.select(g[1] < g[0], 1, 0)
     if g[2] < ti.min(g[0], g[1]):
         lowest = 2
-    one = _corner_shares(g, (lowest + 1) % 3)
-    other = _corner_shares(g, (lowest + 2) % 3)
+    # Whole vectors have no unary minus (`packs.py`).
+    one = -1.0 * _corner_shares(g, (lowest + 1) % 3)
+    other = -1.0 * _corner_shares(g, (lowest + 2) % 3)
     columns = ti.Matrix.cols(
-        [_column(g, 1.0 + 0.0 * g[0]), _column(-one, 0.0 * g[0]), _column(-other, 0.0 * g[0])]
+        [_column(g, 1.0 + 0.0 * g[0]), _column(one, 0.0 * g[0]), _column(other, 0.0 * g[0])]
     )
-    return columns, ti.Vector([g[2], -one[2], -other[2]])
+    return columns, ti.Vector([g[2], one[2], other[2]])
 
 
 @ti.func
