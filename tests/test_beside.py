@@ -536,6 +536,7 @@ def test_a_real_window_shows_both(kind, caches, tmp_path):
         for step in range(8):
             ask(*to, 665 + 14 * step, 230 + 16 * step)
         ask("mouseup", 1)
+        ask("key", "Escape")  # the tool is put away
         ask("key", "Escape")
         assert "beside it: symplectic_euler, 3 substeps" in said.communicate(timeout=60)[0]
         assert said.returncode == 0

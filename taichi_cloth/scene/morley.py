@@ -225,7 +225,7 @@ def _fitted(
     found, place = front.points(mesh)
     particle = np.concatenate([*ends, found], axis=1)
     at = np.concatenate([start, -start, place], axis=1)
-    mine = np.arange(len(side))
+    mine: np.ndarray = np.arange(len(side))
     for ring in range(RINGS):
         front = front.beyond(mesh, unit[mine])
         found, place = front.points(mesh)

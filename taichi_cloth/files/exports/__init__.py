@@ -197,7 +197,7 @@ def _is_mesh(path: Path, text: bytes, count: int, faces: np.ndarray) -> bool:
         return False
 
     def rows(triangles: np.ndarray) -> np.ndarray:
-        return np.unique(np.sort(triangles, axis=1), axis=0)
+        return np.asarray(np.unique(np.sort(triangles, axis=1), axis=0))
 
     return len(surface.vertices) == count and np.array_equal(rows(surface.triangles), rows(faces))
 
