@@ -313,6 +313,9 @@ def test_the_part_tells_who_is_cheapest_at_each_level(monkeypatch, tmp_path):
     blunt = replace(bdf, group="blunt", name="blunt", ladders=((Choice(tolerance=0.5),),))
     absent = replace(bdf, group="absent", name="absent", package="no-such-package")
     little(monkeypatch, [replace(dop853, group="ours", name="ours, a"), bdf, blunt, absent])
+    again = {"name": "SciPy, BDF, again", "way": "again"}  # another way in the same process
+    other_way = lambda kind, _: replace(kind, **again) if kind is bdf else None  # noqa: E731
+    monkeypatch.setattr(contestants.Kind, "other_way", other_way)
     bench = contest.Bench(rounds=2, quick=True, results=tmp_path)
     try:
         rows = list(equal_error.measure(bench))
@@ -322,7 +325,7 @@ def test_the_part_tells_who_is_cheapest_at_each_level(monkeypatch, tmp_path):
     for level in equal_error.LEVELS:
         at = f"a little cloth: {100 * level:g} %"
         here = {row.contestant.partition(":")[0]: row for row in timed if row.size == at}
-        assert {"ours", "SciPy, BDF"} <= set(here)
+        assert {"ours", "SciPy, BDF", "SciPy, BDF, again"} <= set(here)
         assert all(row.error <= level and row.rounds == 2 for row in here.values())
         (ratio,) = [row for row in rows if row.is_ratio and row.size == at]
         peers = [row.seconds for name, row in here.items() if name != "ours"]

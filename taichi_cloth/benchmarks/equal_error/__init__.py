@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from taichi_cloth.benchmarks.contest import Bench
@@ -262,7 +262,7 @@ def _best_of(
 def _other(bench: Bench, entrant: Entrant, tried: Tried) -> _Best | None:
     """What an entrant has tried, run in the other way."""
     kind = entrant.kind.other_way(bench.threads)
-    return _Best(replace(entrant, kind=kind, about={}, tried=[]), tried) if kind else None
+    return _Best(entrant.of_kind(kind), tried) if kind else None
 
 
 def _race(bench: Bench, problem: Problem, best: list[_Best], frames: int) -> None:

@@ -181,6 +181,10 @@ class Entrant:
         self.tried.append(Tried(choice, **entry.result))
         return self.tried[-1]
 
+    def of_kind(self, kind: Kind) -> Entrant:
+        """Another solver on the same problem, which has still to be made in its process."""
+        return replace(self, kind=kind, about={}, tried=[], _worker=None)
+
     def _run(self, choice: Choice) -> Tried:
         self.bench.tell(f"{self.problem.name}: {self.kind.name}, {choice.describe()}", 0, 1)
         file = self.bench.folder / "sample.npz"
