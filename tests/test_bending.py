@@ -492,6 +492,22 @@ def test_no_force_is_left_across_a_tear(mesh, way, device):
     np.testing.assert_array_equal(sim.positions(), one)
 
 
+def test_sweeps_leave_each_stencil_the_pull_of_where_its_particles_go(device):
+    """Those of vbd follow each visit: on any number of threads, to the same bits."""
+    scene, found = crumpled(mesh=True, bending=150.0), []
+    for execution in ("serial", "parallel"):
+        sim = Simulation(scene, "vbd", topology="graph", execution=execution, iterations=3)
+        sim.advance(2)
+        stencils = scene.stencils
+        expected = -stencils.stiffness(scene.particles.fixed)[:, None]
+        expected = expected * stencils.curvature(sim.positions())
+        pulls = sim.storage.state.stencil_pull.to_numpy()[: len(stencils)]
+        np.testing.assert_allclose(pulls, expected, rtol=1e-11, atol=1e-12 * np.abs(pulls).max())
+        found.append((sim.positions(), pulls))
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
 @thorough
 @pytest.mark.parametrize("mesh", [False, True])
 def test_many_sweeps_over_stencils_end_at_the_solution_of_backward_euler(mesh, device):

@@ -24,6 +24,7 @@ class Specialization:
     lines: (columns, rows) from each particle to the next, for each kind of line along which grids
         have stencils (`stencils.py`).
     stencils: whether there are other stencils, which are listed on the graph.
+    keeps_pulls: whether sweeps over particles keep the pulls of those (`stencils.with_listed`).
     rows_share_stiffness: whether all rows of each grid, but the last ones, have the same links with
         the same stiffness, none of which breaks.
     compensated: whether positions and velocities have low parts (`compensated.py`).
@@ -54,6 +55,7 @@ class Specialization:
     links: tuple[tuple[int, int], ...] = ()
     lines: tuple[tuple[int, int], ...] = ()
     stencils: bool = False
+    keeps_pulls: bool = False
     rows_share_stiffness: bool = False
     compensated: bool = False
     together: bool = False

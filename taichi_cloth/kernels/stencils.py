@@ -179,11 +179,32 @@ def with_lines(
 
 @ti.func
 def with_listed(spec: ti.template(), state: ti.template(), apart: ti.template(), p, pulled, stiff):
-    """The same with those of the listed stencils of row p of the compressed rows."""
+    """The same with those of the listed stencils of row p of the compressed rows.
+
+    Where pulls are kept, they are those of `pull_listed`, and each visit ends by `follow_listed`.
+    """
     total, along = pulled, stiff
     for e in range(state.row_stencils[p], state.row_stencils[p + 1]):
         m, weight = state.row_stencil[e], state.row_weight[e]
         k = state.stencil_k[m]
-        total += weight * pull_by(spec, curvature_of(spec, state, apart, m), k)
+        if ti.static(spec.keeps_pulls):
+            for axis in ti.static(range(spec.dim)):
+                total[axis] += weight * state.stencil_pull[m, axis]
+        else:
+            total += weight * pull_by(spec, curvature_of(spec, state, apart, m), k)
         along += weight * weight * stiffness_by(spec, k)
     return total, along
+
+
+@ti.func
+def follow_listed(spec: ti.template(), state: ti.template(), p, moved):
+    """Change the pulls of the listed stencils of row p for the way that its particle has moved.
+
+    Pulls are linear in positions. Particles of one stencil do not move at once, so nothing here
+    is an atomic sum.
+    """
+    for e in range(state.row_stencils[p], state.row_stencils[p + 1]):
+        m = state.row_stencil[e]
+        change = pull_by(spec, state.row_weight[e] * moved, state.stencil_k[m])
+        for axis in ti.static(range(spec.dim)):
+            state.stencil_pull[m, axis] = state.stencil_pull[m, axis] + change[axis]

@@ -44,7 +44,15 @@ from taichi_cloth.kernels.solvers.gauss_seidel import (
 )
 from taichi_cloth.kernels.spring_numbers import fields_of
 from taichi_cloth.kernels.springs import pull, stiffness_across, stiffness_along
-from taichi_cloth.kernels.stencils import with_lines, with_listed
+from taichi_cloth.kernels.stencils import follow_listed, pull_listed, with_lines, with_listed
+
+
+@ti.func
+def prepare(spec: ti.template(), state: ti.template(), t):
+    """Compute what visits read: halos, and pulls of listed stencils, which follow each visit."""
+    renew_both_halos(spec, state, t)
+    if ti.static(spec.keeps_pulls):
+        pull_listed(spec, state, t, apart_at_end)
 
 
 @ti.func
@@ -98,7 +106,10 @@ def relaxed_particle(spec: ti.template(), state: ti.template(), p):
             bent, k = with_listed(spec, state, apart_at_end, p, bent, k)
         pulled, hx, hy, hz = with_stencils(spec, state.dt[None], w, bent, k, pulled, hx, hy, hz)
     b = short_of_goal(spec, state, slot_value, i) + pulled
-    return slot_value(spec, state.v, i) + solution(spec, hx, hy, hz, b)
+    change = solution(spec, hx, hy, hz, b)
+    if ti.static(spec.keeps_pulls):
+        follow_listed(spec, state, p, state.dt[None] * change)
+    return slot_value(spec, state.v, i) + change
 
 
 @ti.func
@@ -225,7 +236,7 @@ METHOD = Method(
     ),
     position_weight=1.0,
     force_times=((0, 1.0),),
-    phases=gauss_seidel.phases(colours_of_particles, relax, renew_both_halos),
+    phases=gauss_seidel.phases(colours_of_particles, relax, prepare),
     stability_function=backward_euler,  # once its sweeps have converged
     needs=("particle_colours",),
     **gauss_seidel.KEEPS,

@@ -15,6 +15,7 @@ from taichi_cloth.runtime import Device
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.scene.penetration import touches
 from taichi_cloth.scene.solids import Solid, met_by_faces
+from taichi_cloth.scene.stencils import Stencils
 from taichi_cloth.simulation.snapshot import Snapshot
 from taichi_cloth.simulation.storage.layouts import WORTH_SORTING
 from taichi_cloth.simulation.storage.placement import Placement
@@ -57,6 +58,7 @@ def specialization(
         links=layout.links,
         lines=layout.lines,
         stencils=listed,
+        keeps_pulls="particle_colours" in needs and _are_large(scene.stencils, placement),
         rows_share_stiffness=layout.rows_share_stiffness and not features["fracture"],
         compensated=device.compensated,
         together=layout.rows is None
@@ -73,6 +75,13 @@ def specialization(
         threads=device.threads,
         one_launch_per_step=True,
     )
+
+
+def _are_large(stencils: Stencils, placement: Placement) -> bool:
+    """Whether any listed stencil has more than the three particles of those of grids, which are
+    computed anew as soon as kept.
+    """
+    return bool((stencils.sizes[placement.graph_stencils] > 3).any())
 
 
 def _is_large_net(scene: Scene) -> bool:
