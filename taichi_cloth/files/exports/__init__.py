@@ -199,7 +199,14 @@ def _is_mesh(path: Path, text: bytes, count: int, faces: np.ndarray) -> bool:
     def rows(triangles: np.ndarray) -> np.ndarray:
         return np.asarray(np.unique(np.sort(triangles, axis=1), axis=0))
 
-    return len(surface.vertices) == count and np.array_equal(rows(surface.triangles), rows(faces))
+    # Programs drop a file's vertices without a face, but for those that ours name by lines.
+    for vertices, triangles in (
+        (len(surface.vertices), surface.triangles),
+        (len(surface.vertices) + len(surface.left_out), surface.number[surface.triangles]),
+    ):
+        if vertices == count and np.array_equal(rows(triangles), rows(faces)):
+            return True
+    return False
 
 
 def open_export(path: Path, clock: Clock) -> Writer:

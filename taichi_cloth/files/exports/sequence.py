@@ -75,8 +75,8 @@ class Sequence:
             return []
         return [
             f"in {counted(len(frames), 'frame')} torn cloth has vertices without a face, up to "
-            f"{max(frames)}: Blender and trimesh drop such vertices of OBJ files, and number the "
-            "others anew; PLY and USD keep them"
+            f"{max(frames)}: trimesh and others drop such vertices of OBJ files, and number the "
+            "rest anew; Blender keeps them, and PLY and USD do everywhere"
         ]
 
     def restart(self) -> None:
@@ -161,14 +161,17 @@ def ply(frame: Frame, clock: Clock) -> bytes:
 
 def obj(frame: Frame, clock: Clock) -> bytes:
     """A frame as OBJ: positions with all their digits, the triangles that are whole; without
-    triangles the springs that hold, as lines.
+    triangles the springs that hold, as lines. A vertex of neither is a line from itself to itself:
+    Blender drops what nothing names.
     """
     faces, edges = frame.faces() + 1, frame.edges() + 1
+    alone = np.setdiff1d(np.arange(len(frame.position)) + 1, np.append(faces, edges))
     parts = [f"# {_about(frame, clock)}\n"]
     for line, rows in (
         ("v %.17g %.17g %.17g\n", frame.position),
         ("f %d %d %d\n", faces),
         ("l %d %d\n", edges),
+        ("l %d %d\n", np.column_stack([alone, alone])),
     ):
         parts.append(line * len(rows) % tuple(rows.ravel().tolist()))
     return "".join(parts).encode()
