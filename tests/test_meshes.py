@@ -97,7 +97,6 @@ MALFORMED = [
     ("folded.stl", stl([(0, 1, 1)]), "face 0 is degenerate"),
     ("fin.obj", SQUARE + "v 0 0 1\nf 1 2 3\nf 1 3 4\nf 1 3 5\n",
      "line 8: face 2 is the third at the edge of vertices 0 and 2"),
-    ("loose.obj", SQUARE + "f 1 2 3\n", "line 4: vertex 3 is a corner of no face"),
     ("word.obj", SQUARE + "f 1 two 3\n", "line 5: a face has numbers of vertices, not '1 two 3'"),
     ("short.obj", "v 0 0\nf 1 2 3\n", "line 1: a vertex has three numbers, not '0 0'"),
     ("prose.obj", "Dear reader,\nthis is a letter.\n", "no line of vertices or faces"),
@@ -172,6 +171,37 @@ def test_lines_of_other_kinds_are_passed_over_with_one_note(tmp_path, capsys):
     assert capsys.readouterr().err == f"taichi-cloth: note: {path}: {says}, from line 15 on\n"
     path.write_text(SQUARE + known + "f 1 2 3 4\n")
     assert meshes.read(path).notes == ()
+
+
+LOOSE = "v 9 9 9\nv 0 0 0\nv 1 0 0\nv 7 7 7\nv 1 1 0\nv 0 1 0\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "first"),
+    [
+        ("loose.obj", LOOSE + "f 2 3 5 6\n", "vertex 0 (line 1)"),
+        ("loose.ply", ply(LOOSE.replace("v ", ""), "4 1 2 4 5\n", n=6), "vertex 0 (line 10)"),
+    ],
+)
+def test_vertices_without_a_face_are_left_out_and_pins_have_the_files_numbers(
+    tmp_path, name, content, first
+):
+    (tmp_path / name).write_text(content)
+    surface = meshes.read(tmp_path / name)
+    x, triangles = meshfile.read(tmp_path / name)
+    np.testing.assert_array_equal(x, CORNERS)
+    np.testing.assert_array_equal(surface.number, [1, 2, 4, 5])
+    assert sorted(surface.quads[0]) == [0, 1, 2, 3] and triangles.max() == 3
+    says = f"2 vertices are corners of no face, and are left out: the first is {first}"
+    assert surface.notes == (says,)
+    particles, springs, _ = mesh(tmp_path / name, pinned=[4])
+    assert particles.fixed.tolist() == [False, False, True, False] and len(springs) == 6
+    scene = SceneSource(str(tmp_path / name)).build()  # held at its highest, and of its own size
+    assert scene.particles.fixed.tolist() == [False, False, True, True]
+    assert f"{tmp_path / name}: {says}" in scene.notes
+    for pin, refusal in ((3, "vertex 3 of .* is a corner of no face"), (6, "has 0 to 5")):
+        with pytest.raises(InputError, match=refusal):
+            mesh(tmp_path / name, pinned=[pin])
 
 
 def test_a_surface_is_not_made_twice_while_it_is_held(tmp_path):

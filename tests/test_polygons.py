@@ -126,6 +126,43 @@ def test_the_cost_of_a_cut_is_quadratic(monkeypatch, crosses):
     assert len(looks) <= (12 if crosses else 3) * 300
 
 
+SWAPPED = np.r_[:10, 30, 11:30, 10, 31:60]
+CROSSING = {
+    "bow": [[0, 0, 0], [2, 1, 0], [2, 0, 0], [0, 1, 0]],
+    "bow whose halves are as large": [[0, 0, 0], [1, 1, 0], [1, 0, 0], [0, 1, 0]],
+    "pentagram": circle(5)[[0, 2, 4, 1, 3]],
+    "twice around": circle(7)[[0, 2, 4, 6, 1, 3, 5]] * [2, 1, 1],
+    "star": star(60)[SWAPPED],
+    "ring": np.roll(ring(30), 1, axis=0)[SWAPPED],
+}
+
+
+def test_polygons_that_cross_themselves_are_told_of_in_one_note(tmp_path):
+    """By the first one's line, wherever they lie; none that only touch themselves are."""
+    turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+
+    def notes(polygons):
+        lines, faces, count = [], [], 1
+        for n, x in enumerate(polygons):
+            lines += ["v {!r} {!r} {!r}".format(*map(float, p)) for p in x + [9.0 * n, 0, 0]]
+            faces.append("f " + " ".join(map(str, range(count, count + len(x)))))
+            count += len(x)
+        (tmp_path / "shapes.obj").write_text("\n".join([*lines, *faces]) + "\n")
+        return meshes.read(tmp_path / "shapes.obj").notes, count
+
+    for name, x in CROSSING.items():
+        for placed in (np.array(x, float), np.array(x, float)[::-1] @ turn):
+            found, count = notes([star(60), placed])
+            says = (
+                "1 face crosses or meets itself, and no cut into triangles is right there: face 1"
+            )
+            assert found == (f"{says} (line {count + 1}); part it",), name
+    found, count = notes([*map(np.array, CROSSING.values()), star(60)])
+    assert found[0].startswith("6 faces cross or meet themselves")
+    assert f"the first is face 0 (line {count})" in found[0]
+    assert notes([*SHAPES.values(), sides(1)])[0] == ()
+
+
 def test_a_polygon_with_two_corners_at_one_place_in_a_row_is_refused(tmp_path):
     """Such an edge is a spring without a length."""
     (tmp_path / "twice.obj").write_text(SQUARE + "v 0 1 0\nv 0 0.5 0\nf 1 2 3 4 5 6\n")

@@ -180,9 +180,23 @@ def test_a_third_panel_at_a_seam_is_refused_in_the_files_numbers(tmp_path):
     """An edge has two faces."""
     below, above = panel(3, 5, (0, 0), (1, 0.5)), panel(3, 5, (0, 0.5), (1, 1))
     third = above[0] @ np.diag([1, 0, 0]) + [0, 0.5, 0] + above[0][:, [2, 2, 1]] - [0, 0, 0.5]
-    obj(tmp_path / "cloth.obj", below, above, (third, above[1]))
-    with pytest.raises(InputError, match="line 15: .* weld 1e-06 makes no sound surface: .* third"):
+    loose = np.full((1, 3), 5.0), np.zeros((0, 4), int)
+    obj(tmp_path / "cloth.obj", loose, below, above, (third, above[1]))
+    says = "weld 1e-06 joins three faces or more at 4 edges, the first of vertices 11 and 12, and"
+    with pytest.raises(InputError, match=f"line 15: .* {says}"):
         loaded(tmp_path, "weld = 1e-6\n")
+
+
+def test_a_mesh_without_pins_is_told_of_where_another_one_has_them(tmp_path):
+    """All of it falls; nothing is said where nothing is pinned, or springs hold it."""
+    two(tmp_path, 0.1)
+    second = "[[meshes]]\nfile = 'cloth.obj'\nscale = 1.0\nmove = [1.0, 4.0, 0.0]\nstretch = 1.0\n"
+    pins = "pinned = [0, 15]\n"
+    falls = "it has no pins, as other things of the scene have, and will fall"
+    assert loaded(tmp_path, second).notes == ()
+    assert loaded(tmp_path, pins + second).notes == (f"{tmp_path}/cloth.obj: {falls}",)
+    held = "".join(f"[[springs]]\nbetween = [0, {n}]\nstiffness = 1.0\n" for n in (30, 45))
+    assert loaded(tmp_path, pins + second + held).notes == ()
 
 
 def test_slits_and_whole_sheets_have_no_seam(tmp_path):

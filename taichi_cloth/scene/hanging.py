@@ -66,7 +66,7 @@ def table(path: Path, surface: Surface, given: Mapping[str, Any] | None = None) 
     top = float(low[1] + place[1] + size[1])
     held: Any = {"above": top - HELD * float(size[1])}
     if lies:  # as it was turned: its far side is held
-        held = np.flatnonzero(x[:, 2] <= low[2] + HELD * size[2]).tolist()
+        held = surface.number[x[:, 2] <= low[2] + HELD * size[2]].tolist()
     corners = x[surface.triangles]
     edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
     area = areas(x, surface.triangles)

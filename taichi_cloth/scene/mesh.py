@@ -51,9 +51,9 @@ def mesh(
 ) -> tuple[Particles, Springs, np.ndarray]:
     """Particles, springs and triangles (m, 3) of the surface in an OBJ, PLY, STL or GLB file.
 
-    Vertex i of the file is particle i, unless `weld` joins some. Each edge is a spring that rests
-    at its length; quads have a spring along each of their diagonals, and larger polygons along the
-    edges of the triangles that they are cut into.
+    Particles are the vertices that faces have, in the file's order, unless `weld` joins some. Each
+    edge is a spring that rests at its length; quads have a spring along each of their diagonals,
+    and larger polygons along the edges of the triangles that they are cut into.
 
     scale: by what positions are multiplied; turn: degrees about x, then y, then z, all through the
         origin; move: what is added then [length].
@@ -101,7 +101,8 @@ def sewn(path: Path, scale: float, weld: float) -> Welded:
     if not 0 <= weld < np.inf:
         raise InputError(f"weld must be finite and not negative, is {weld:g}")
     if weld == 0:
-        return Welded(surface, np.arange(len(surface.vertices)), surface.triangles)
+        same = np.arange(len(surface.vertices))
+        return Welded(surface, same, surface.number, surface.triangles)
     return welded(path, surface, weld, scale)
 
 
@@ -127,7 +128,7 @@ def of_surface(
         raise InputError(f"parts: {path} has {has}, not {parts}, that nothing joins")
     of = Material.given("mesh", material, ("structural",), _given(numbers))
     position = placed(surface.vertices, scale, turn, move)
-    fixed = _pinned(pinned, position, of_file.joined, up, path)
+    fixed = _pinned(pinned, position, of_file, up, path)
     mass = None if of.density is None else masses(position, surface.triangles, of.density)
     particles = Particles.build(
         position,
@@ -183,12 +184,11 @@ def placed(vertices: np.ndarray, scale: float, turn: ArrayLike, move: ArrayLike)
 def _pinned(
     pinned: Iterable[int] | Mapping[str, float],
     position: np.ndarray,
-    joined: np.ndarray,
+    of_file: Welded,
     up: int,
     path: Path,
 ) -> np.ndarray:
-    """The particles that never move, (n,) bool; joined: the particle of each vertex of the file."""
-    count = len(joined)
+    """The particles that never move, (n,) bool."""
     if isinstance(pinned, Mapping):
         if set(pinned) != {"above"}:
             raise InputError(f"pinned must be a list, or {{ above = h }}, is {pinned}")
@@ -205,11 +205,14 @@ def _pinned(
     listed = accepted.listed("mesh: pinned", pinned, "a list of vertices, or {'above': h}")
     numbers = accepted.numbers("mesh: pinned", listed)
     fixed = np.zeros(len(position), bool)
+    number = of_file.number
     for value in numbers.ravel().tolist():
-        if value != int(value) or not 0 <= value < count:
-            has = f"{path} has 0 to {count - 1}"
-            raise InputError(f"pinned: there is no vertex {value:g}; {has}")
-        fixed[joined[int(value)]] = True
+        if value != int(value) or not 0 <= value <= number[-1]:
+            raise InputError(f"pinned: there is no vertex {value:g}; {path} has 0 to {number[-1]}")
+        at = np.searchsorted(number, value)
+        if number[at] != value:
+            raise InputError(f"pinned: vertex {value:g} of {path} is a corner of no face")
+        fixed[of_file.joined[at]] = True
     return fixed
 
 

@@ -68,8 +68,9 @@ def read(reader: TableReader, entry: Table, index: int, common: Common) -> Sheet
         points = FilePoints(of_file.joined, of_file.corners)
         reader.note(file, of_file.surface.notes)
         placed = replace(of_file.surface, vertices=particles.position)
-        reader.note(file, open_seams(placed, points.first, index))
-        return Sheet(particles, springs, triangles, stencils, file, points)
+        number = of_file.number[points.first]
+        reader.note(file, open_seams(placed, number, index))
+        return Sheet(particles, springs, triangles, stencils, file, points, number)
 
 
 def _pins(reader: TableReader, entry: Table, path: Keys) -> list[int] | Mapping[str, float]:

@@ -49,7 +49,8 @@ class Common:
 class Sheet:
     """The parts of an entry, numbered from 0: particles, springs, triangles (m, 3), stencils.
 
-    file: the mesh file that it is of, and file_points, the vertices that this has.
+    file: the mesh file that it is of, and file_points, the vertices that this has; number: the
+    number that each particle has in it, (n,).
     """
 
     particles: Particles
@@ -58,6 +59,7 @@ class Sheet:
     stencils: Stencils
     file: Path | None = None
     file_points: FilePoints | None = None
+    number: np.ndarray | None = None
 
 
 class TableReader:

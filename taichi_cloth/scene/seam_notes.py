@@ -48,11 +48,12 @@ def _remedy(surface: Surface, off: np.ndarray, index: int) -> str:
 
 
 def loose_parts(sheet: Sheet, begin: int, particles: Particles, springs: Springs) -> Iterator[str]:
-    """A clause on the parts of a mesh that nothing holds, where others of it are held.
+    """A clause on the parts of a mesh that nothing holds, where something in the scene is held.
 
     begin: the number of its first particle; particles, springs: the whole scene's.
     """
-    if sheet.file_points is None or not sheet.particles.fixed.any():
+    number = sheet.number
+    if number is None or not particles.fixed.any():
         return
     mine = slice(begin, begin + len(sheet.particles))
     count, part = components(springs.between, len(particles))
@@ -61,15 +62,17 @@ def loose_parts(sheet: Sheet, begin: int, particles: Particles, springs: Springs
     loose = of_mesh[~held[of_mesh]]
     if not len(loose):
         return
+    if len(loose) == len(of_mesh):
+        yield "it has no pins, as other things of the scene have, and will fall"
+        return
     from scipy.spatial import cKDTree
 
     first = int((~held[part[mine]]).argmax())
     x, in_part = particles.position, part == part[begin + first]
-    own = np.flatnonzero(in_part)
+    own = begin + np.flatnonzero(in_part[mine])
     rest = begin + np.flatnonzero(~in_part[mine])
     distance, other = cKDTree(x[rest]).query(x[own])
     at = int(distance.argmin())
-    number = sheet.file_points.first
     here, there = number[own[at] - begin], number[rest[other[at]] - begin]
     yield (
         f"{len(loose)} of its {len(of_mesh)} parts {'hang' if len(loose) > 1 else 'hangs'} on "

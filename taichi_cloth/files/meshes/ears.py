@@ -11,6 +11,7 @@ import numpy as np
 
 # A corner blocks an ear that comes nearer to it than this, in areas of the polygon's box.
 MARGIN = 1e-10
+AT_ONCE = 2**18  # pairs of sides that are looked at together, inside a processor's cache
 
 Point = tuple[float, float]
 
@@ -20,9 +21,38 @@ def cut(x: np.ndarray) -> np.ndarray:
     (c - 2, 3).
 
     Each corner is one of some triangle, also on a straight side. Sides may touch, as those that
-    lead to a hole and back. A polygon that crosses itself is cut, too, but no cut of it is right.
+    lead to a hole and back. A polygon that crosses itself is cut, too, but no cut of it is right
+    (`crosses`).
     """
     return _Ears(_flat(x)).cut()
+
+
+def crosses(x: np.ndarray, triangles: np.ndarray) -> bool:
+    """Whether a polygon with corners x (c, 3) crosses itself, or `triangles` (c - 2, 3), into which
+    it was cut, turn back. Sides that touch, or lie on each other, do not cross. Costs c^2.
+    """
+    p = _flat(x)
+    margin = MARGIN * float((np.ptp(p, axis=0) ** 2).max())
+
+    def turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+        """Which way triangles (k, 2) are wound, (k,): 1, counter-clockwise, -1, or 0."""
+        (u, v), (s, t) = (b - a).T, (c - a).T
+        twice = u * t - v * s
+        return np.where(np.abs(twice) > margin, np.sign(twice), 0.0)
+
+    if (turn(*(p[triangles[:, n]] for n in range(3))) < 0).any():
+        return True
+    ahead = np.roll(p, -1, axis=0)
+    low, high = np.minimum(p, ahead), np.maximum(p, ahead)
+    for first in range(0, len(p), at_once := max(AT_ONCE // len(p), 1)):
+        part = slice(first, first + at_once)
+        near = (low[part, None, 0] < high[:, 0]) & (low[:, 0] < high[part, None, 0])
+        near &= (low[part, None, 1] < high[:, 1]) & (low[:, 1] < high[part, None, 1])
+        one, other = np.nonzero(near)
+        a, b, c, d = p[first + one], ahead[first + one], p[other], ahead[other]
+        if ((turn(a, b, c) * turn(a, b, d) < 0) & (turn(c, d, a) * turn(c, d, b) < 0)).any():
+            return True
+    return False
 
 
 def _flat(x: np.ndarray) -> np.ndarray:
@@ -33,6 +63,9 @@ def _flat(x: np.ndarray) -> np.ndarray:
     spokes = x[1:] - x[0]
     normal = np.cross(spokes[:-1], spokes[1:]).sum(axis=0)
     axis = int(np.abs(normal).argmax())
+    size = np.ptp(x, axis=0)
+    if np.abs(normal[axis]) <= MARGIN * size.max() ** 2:  # its parts cancel: it crosses itself
+        axis = int(size.argmin())
     kept = [(axis + 1) % 3, (axis + 2) % 3]
     return x[:, kept if normal[axis] > 0 else kept[::-1]]
 

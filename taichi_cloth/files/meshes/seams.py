@@ -21,12 +21,14 @@ class Welded:
     """A surface whose seams are joined.
 
     surface: vertices and triangles of what is joined; joined vertices lie in their middle.
-    joined: the surface's vertex that each of the file's is, (n,) int64.
-    corners: the file's vertices at the corners of the surface's triangles, (m, 3) int64.
+    joined: the surface's vertex that each of the file's is, (n,) int64, without those that are left
+        out. number: the numbers that these have in the file, (n,).
+    corners: which of them are at the corners of the surface's triangles, (m, 3) int64.
     """
 
     surface: Surface
     joined: np.ndarray
+    number: np.ndarray
     corners: np.ndarray
 
 
@@ -155,6 +157,7 @@ def welded(path: Path, surface: Surface, weld: float, scale: float = 1.0) -> Wel
     moved = np.stack([np.bincount(one, column, n) for column in offset.T], axis=1)
     vertices += moved / np.maximum(np.bincount(one, minlength=n), 1)[:, None]
     rows = one[corners]
+    _check_edges(rows, surface.number, weld)
     polygons = Polygons(vertices, rows.ravel(), np.full(len(rows), 3, np.int64))
     try:
         whole = checked(path, polygons, loose=True)
@@ -176,7 +179,7 @@ def welded(path: Path, surface: Surface, weld: float, scale: float = 1.0) -> Wel
         quad_triangles=start[surface.quad_triangles[kept]],
         notes=surface.notes,
     )
-    return Welded(result, joined, corners)
+    return Welded(result, joined, surface.number, corners)
 
 
 def closed(path: Path, surface: Surface) -> Surface:
@@ -234,6 +237,20 @@ def _check_faces(surface: Surface, one: np.ndarray, weld: float, scale: float) -
         a, b = edges[int(same.argmax())]
         length = scale * np.linalg.norm(surface.vertices[a] - surface.vertices[b])
         raise InputError(
-            f"weld {weld:g} joins vertices {a} and {b} of one face; give less than "
-            f"{min(weld, length):.3g}"
+            f"weld {weld:g} joins vertices {surface.number[a]} and {surface.number[b]} of one "
+            f"face; give less than {min(weld, length):.3g}"
+        )
+
+
+def _check_edges(triangles: np.ndarray, number: np.ndarray, weld: float) -> None:
+    """That no edge of triangles (m, 3) has more than two of them; number: the vertices' own."""
+    edges = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1), axis=-1)
+    found, count = np.unique(edges.reshape(-1, 2), axis=0, return_counts=True)
+    many = found[count > 2]
+    if len(many):
+        a, b = number[many[0]]
+        at = "at the edge" if len(many) == 1 else f"at {len(many)} edges, the first"
+        raise InputError(
+            f"weld {weld:g} joins three faces or more {at} of vertices {a} and {b}, and an edge "
+            "has two at most; move the third panel away and tie it by [[springs]], or leave it out"
         )

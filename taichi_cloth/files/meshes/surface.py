@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
 
 from taichi_cloth.errors import InputError
-from taichi_cloth.files.meshes.ears import cut
+from taichi_cloth.files.meshes.ears import crosses, cut
 
 # Vertices and faces, which take some 500 bytes each while a mesh is made into a cloth.
 LARGEST_COUNT = 2**23
@@ -44,6 +45,7 @@ class Surface:
     """A sound surface: no face is degenerate or there twice, and an edge has two faces at most.
 
     vertices: positions, (n, 3) float64; each is a corner of some face.
+    left_out: numbers of the file's vertices that are a corner of none, (l,) int64, rising.
     triangles: numbers of vertices, (m, 3) int64, each face cut into triangles: quads along their
         shorter diagonal that lies inside, larger polygons from a corner, or ear by ear. All are
         wound alike where that can be (a Moebius strip cannot), as most of the file's are.
@@ -57,6 +59,12 @@ class Surface:
     quads: np.ndarray
     quad_triangles: np.ndarray
     notes: tuple[str, ...] = ()
+    left_out: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+
+    @property
+    def number(self) -> np.ndarray:
+        """The numbers that its vertices have in the file, (n,)."""
+        return np.delete(np.arange(len(self.vertices) + len(self.left_out)), self.left_out)
 
     def is_closed(self) -> bool:
         """Whether each edge has two faces: then the surface is a body's."""
@@ -117,7 +125,8 @@ class _Refusal:
 def checked(path: Path, polygons: Polygons, loose: bool = False) -> Surface:
     """The surface that a file's polygons make. Raises InputError, naming the line or the face.
 
-    loose: vertices may be corners of no face. Faces and vertices are numbered from 0 in messages.
+    Vertices that are corners of no face are left out, and a note says so; loose: they stay. Faces
+    and vertices are numbered from 0 in messages.
     """
     refusal = _Refusal(path, polygons)
     check_counts(path, len(polygons.vertices), len(polygons.count))
@@ -130,14 +139,56 @@ def checked(path: Path, polygons: Polygons, loose: bool = False) -> Surface:
     _check_corners(polygons, owner, refusal)
     _check_twice(polygons, refusal)
     _check_lengths(polygons, owner, refusal)
-    surface, face_of = _triangulated(polygons)
+    surface, face_of, crossing = _triangulated(polygons)
     _check_areas(surface, face_of, refusal)
     _check_edges(polygons, owner, refusal)
+    surface = replace(surface, triangles=_wound_alike(surface.triangles))
     used = np.zeros(len(polygons.vertices), bool)
     used[polygons.corners] = True
+    notes = [*polygons.notes, *_crossing_note(polygons, crossing)]
     if not (loose or used.all()):
-        refusal.vertex(int(used.argmin()), "is a corner of no face; remove loose vertices")
-    return replace(surface, triangles=_wound_alike(surface.triangles), notes=polygons.notes)
+        surface = _without(surface, used)
+        notes.append(_left_out_note(polygons, surface.left_out))
+    return replace(surface, notes=tuple(notes))
+
+
+def _without(surface: Surface, used: np.ndarray) -> Surface:
+    """A surface of those vertices alone that are used, (n,) bool."""
+    number = np.cumsum(used) - 1
+    return replace(
+        surface,
+        vertices=surface.vertices[used],
+        triangles=number[surface.triangles],
+        quads=number[surface.quads],
+        left_out=np.flatnonzero(~used),
+    )
+
+
+def _left_out_note(polygons: Polygons, left_out: np.ndarray) -> str:
+    first = f"vertex {left_out[0]}{_line(polygons.vertex_lines, left_out)}"
+    if len(left_out) == 1:
+        return f"{first} is a corner of no face, and is left out"
+    return (
+        f"{len(left_out)} vertices are corners of no face, and are left out: the first is {first}"
+    )
+
+
+def _crossing_note(polygons: Polygons, crossing: np.ndarray) -> Iterator[str]:
+    """A clause on faces that cross themselves, by their numbers, if there are any."""
+    if len(crossing) == 0:
+        return
+    first, cross = (
+        f"face {crossing[0]}{_line(polygons.lines, crossing)}",
+        "1 face crosses or meets itself",
+    )
+    if len(crossing) > 1:
+        first, cross = f"the first is {first}", f"{len(crossing)} faces cross or meet themselves"
+    yield f"{cross}, and no cut into triangles is right there: {first}; part it"
+
+
+def _line(lines: np.ndarray | None, which: np.ndarray) -> str:
+    """The line of the first of some faces or vertices, in brackets; "": the file has none."""
+    return "" if lines is None else f" (line {lines[which[0]]})"
 
 
 def _check_vertices(polygons: Polygons, refusal: _Refusal) -> None:
@@ -189,31 +240,39 @@ def _check_twice(polygons: Polygons, refusal: _Refusal) -> None:
             refusal.face(int(faces[order[at + 1]]), f"is face {faces[order[at]]} again")
 
 
-def _triangulated(polygons: Polygons) -> tuple[Surface, np.ndarray]:
-    """All faces as triangles, in their order, and the face that each triangle is of, (m,)."""
+def _triangulated(polygons: Polygons) -> tuple[Surface, np.ndarray, np.ndarray]:
+    """All faces as triangles, in their order, the face that each triangle is of, (m,), and the
+    faces that cross themselves.
+    """
     x, count = polygons.vertices, polygons.count
     start = np.concatenate([[0], np.cumsum(count)])
     first = np.concatenate([[0], np.cumsum(count - 2)])
     triangles = np.empty((first[-1], 3), np.int64)
     quads, convex = np.zeros((0, 4), np.int64), np.zeros(0, np.int64)
+    crossing = []
     for corners in np.unique(count):
         faces = np.flatnonzero(count == corners)
         rows = polygons.corners[start[faces, None] + np.arange(corners)]
+        n = np.arange(corners - 2)
+        fan = np.stack([0 * n, n + 1, n + 2], axis=1)
         if corners == 4:
             turned, whole = _diagonals(x[rows])
             quads, convex = rows[whole], faces[whole]
             rows[turned] = np.roll(rows[turned], -1, axis=1)
-        for n in range(corners - 2):
-            triangles[first[faces] + n] = rows[:, [0, n + 1, n + 2]]
-        for f in np.flatnonzero(_folds(x[rows])) if corners > 4 else ():
-            triangles[first[faces[f]] : first[faces[f] + 1]] = rows[f][cut(x[rows[f]])]
+        triangles[first[faces, None] + n] = rows[:, fan]
+        folds = _folds(x[rows])
+        for f in np.flatnonzero(folds | _winds(x[rows])) if corners > 3 else ():
+            cuts = cut(x[rows[f]]) if corners > 4 and folds[f] else fan
+            triangles[first[faces[f]] : first[faces[f] + 1]] = rows[f][cuts]
+            if crosses(x[rows[f]], cuts):
+                crossing.append(int(faces[f]))
     surface = Surface(
         vertices=x,
         triangles=triangles,
         quads=quads,
         quad_triangles=first[convex, None] + np.arange(2),
     )
-    return surface, np.repeat(np.arange(len(count)), count - 2)
+    return surface, np.repeat(np.arange(len(count)), count - 2), np.sort(crossing)
 
 
 def _normals(x: np.ndarray) -> np.ndarray:
@@ -232,6 +291,15 @@ def _folds(x: np.ndarray) -> np.ndarray:
         axis=1
     )
     return folds
+
+
+def _winds(x: np.ndarray) -> np.ndarray:
+    """Which polygons (f, c, 3) go more than once around their first corner; (f,) bool."""
+    spokes = x[:, 1:] - x[:, :1]
+    along = (spokes[:, :-1] * spokes[:, 1:]).sum(axis=2)
+    angles = np.arctan2(np.linalg.norm(_normals(x), axis=2), along)
+    winds: np.ndarray = angles.sum(axis=1) > 2 * np.pi
+    return winds
 
 
 def _diagonals(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
