@@ -30,7 +30,7 @@ from taichi_cloth.runtime import (
     whole_vectors,
 )
 from taichi_cloth.simulation import compiled
-from taichi_cloth.simulation.prepared import PreparedLaunches, was_launched
+from taichi_cloth.simulation.prepared import PreparedLaunch, PreparedLaunches, was_launched
 
 # Particles and springs times steps in one launch: some tenths of a second, so that Ctrl-C is heard,
 # after a frame, or if it comes twice.
@@ -70,6 +70,7 @@ class Launcher:
         self._kind: str | None = None  # what is compiled, until its first frames are done
         self._chosen: dict[tuple[Specialization, Capacity], bool] = {}  # `_hurries`
         self._prepared = PreparedLaunches()
+        self._again: PreparedLaunch | None = None  # of frames, by which the last ones were launched
         self._method = method
         self._step = phases.stepping(method.phases) if method.phases else method.step
 
@@ -79,8 +80,7 @@ class Launcher:
         packs: for how many there is room, so that what is spawned there compiles nothing anew.
         """
         if path == "serial" or self.device.arch == "cpu":
-            threads = 1 if path == "serial" else self.device.threads
-            return replace(spec, threads=threads, one_launch_per_step=False)
+            return _on_threads(spec, 1 if path == "serial" else self.device.threads)
         return self._staying(spec, packs) if self._frames_stay(spec, packs) else _by_steps(spec)
 
     def _frames_stay(self, spec: Specialization, packs: int) -> bool:
@@ -194,6 +194,9 @@ class Launcher:
         self, spec: Specialization, state: Any, done: int, frames: int, substeps: int
     ) -> int:
         """Advance frames, after `done` steps, and return how many passed the watchdog."""
+        if self._again is not None and self._again.repeats_with(spec, state):
+            again: int = self._again.launch(done, frames, substeps)
+            return again
         passed = self._advance(spec, state, done, frames, substeps)
         if self._kind:
             compiled.note(self._kind)
@@ -216,6 +219,7 @@ class Launcher:
             of = self._step, spec, state, state.lane_memory
             run_frames, how_long = kernels_of(state).frames, (done, frames, substeps)
             passed: int = self._launch(run_frames, *of, *how_long, soon=self.hurries)
+            self._again = self._prepared.last(run_frames)
             return passed
         for frame in range(frames):
             self._launch_steps(spec, state, done + frame * substeps, substeps)
@@ -326,7 +330,7 @@ def _for_one_pass(spec: Specialization, state: Any) -> Specialization:
     few, as to wake the others takes longer.
     """
     short = spec.threads > 1 and loops.is_short(state.packs * spec.lanes)
-    return _on_one_thread(spec) if short else spec
+    return _on_threads(spec, 1) if short else spec
 
 
 @functools.lru_cache
@@ -343,9 +347,9 @@ def _by_steps(spec: Specialization) -> Specialization:
 
 
 @functools.lru_cache
-def _on_one_thread(spec: Specialization) -> Specialization:
-    """The same on one thread; kept, as to make it takes as long as a launch."""
-    return replace(spec, threads=1)
+def _on_threads(spec: Specialization, threads: int) -> Specialization:
+    """The same on so many threads; kept, so that launches know it again by what it is."""
+    return replace(spec, threads=threads, one_launch_per_step=False)
 
 
 def kernels_of(state: Any) -> stepping.Kernels:

@@ -47,10 +47,10 @@ class PreparedLaunches:
     """
 
     def __init__(self) -> None:
-        self._of: WeakKeyDictionary[Any, dict[Any, _Prepared]] = WeakKeyDictionary()
-        self._last: dict[Callable[..., Any], _Prepared] = {}  # of each kernel
+        self._of: WeakKeyDictionary[Any, dict[Any, PreparedLaunch]] = WeakKeyDictionary()
+        self._last: dict[Callable[..., Any], PreparedLaunch] = {}  # of each kernel
 
-    def find(self, kernel: Callable[..., Any], arguments: tuple[Any, ...]) -> _Prepared | None:
+    def find(self, kernel: Callable[..., Any], arguments: tuple[Any, ...]) -> PreparedLaunch | None:
         """What launches a kernel with these arguments; None if it has yet to be launched so."""
         last = self._last.get(kernel)  # most launches are those of the frame before
         if last is not None and last.repeats(arguments):
@@ -65,6 +65,10 @@ class PreparedLaunches:
         self._last[kernel] = prepared
         return prepared
 
+    def last(self, kernel: Callable[..., Any]) -> PreparedLaunch | None:
+        """What a kernel was launched with last, of those that `find` found."""
+        return self._last.get(kernel)
+
     def note(self, kernel: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
         """Keep how a kernel was just launched, under the settings that it was compiled with."""
         signature = _signature(kernel)
@@ -73,7 +77,7 @@ class PreparedLaunches:
         if not all(isinstance(arguments[at], KEPT) for at in signature.templates):
             return
         known = self._of.setdefault(arguments[signature.state], {})
-        known[_key(kernel, signature, arguments)] = _Prepared(kernel, signature, arguments)
+        known[_key(kernel, signature, arguments)] = PreparedLaunch(kernel, signature, arguments)
 
 
 def was_launched(kernel: Callable[..., Any], arguments: tuple[Any, ...]) -> bool:
@@ -83,7 +87,7 @@ def was_launched(kernel: Callable[..., Any], arguments: tuple[Any, ...]) -> bool
     return (primal.func, instance, primal.autodiff_mode) in primal.compiled_kernels
 
 
-class _Prepared:
+class PreparedLaunch:
     """A kernel, compiled for some arguments, and how it gets the others."""
 
     def __init__(
@@ -102,8 +106,10 @@ class _Prepared:
         self._numbers = [(at, place[at], kind) for at, kind in signature.numbers]
         self._templates = [(at, arguments[at]) for at in signature.templates]
         self._state_at, self._state = signature.state, ref(arguments[signature.state])
+        specs = [one for _, one in self._templates if isinstance(one, Specialization)]
+        self._spec = specs[0] if specs else None
         # On CPUs the context is kept for launches with the same arrays, which it does not keep.
-        self._keeps = _shares_memory(program)
+        self._on_cpu = _shares_memory(program)
         self._context: Any = None
         self._has: list[tuple[int, ref[np.ndarray]]] = []
         kinds = [_kind_of(kind) for kind in primal.return_type or ()]
@@ -123,6 +129,27 @@ class _Prepared:
             and self.is_of(_runtime())
         )
 
+    def repeats_with(self, spec: Specialization, state: Any) -> bool:
+        """Whether its last launch was of these, all else being theirs: arrays of the state are not
+        looked at, which costs more than all the rest.
+        """
+        return (
+            self._context is not None
+            and state is self._state()
+            and self._spec is spec
+            and self.is_of(_runtime())
+        )
+
+    def launch(self, *numbers: float) -> Any:
+        """Launch it again with other numbers, after `repeats_with`; return what it returns."""
+        context = self._context
+        for (_, place, kind), number in zip(self._numbers, numbers, strict=True):
+            if kind is int:
+                context.set_arg_int(place, number)
+            else:
+                context.set_arg_float(place, number)
+        return self._run(context)
+
     def __call__(self, arguments: tuple[Any, ...]) -> Any:
         """Launch it; return what it returns.
 
@@ -137,11 +164,15 @@ class _Prepared:
                 context.set_arg_int(place, int(arguments[at]))
             else:
                 context.set_arg_float(place, float(arguments[at]))
+        return self._run(context)
+
+    def _run(self, context: Any) -> Any:
         program = _runtime().prog
         program.launch_kernel(self._compiled, context)
         if not self._result:
             return None
-        program.synchronize()
+        if not self._on_cpu:  # there it has ended
+            program.synchronize()
         return getattr(context, self._result)((0,))
 
     def _has_arrays(self, arguments: tuple[Any, ...]) -> bool:
@@ -156,7 +187,7 @@ class _Prepared:
             address, _ = array.__array_interface__["data"]
             shape = array.shape[: array.ndim - inner]
             context.set_arg_external_array_with_shape(place, address, array.nbytes, shape, 0)
-        if self._keeps:
+        if self._on_cpu:
             self._context = context
             self._has = [(at, ref(arguments[at])) for at, _, _ in self._arrays]
         return context

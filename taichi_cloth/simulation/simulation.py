@@ -254,7 +254,9 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         # A push lasts one frame, and what breaks may change the next; else they share a launch.
         follows = self._auto is not None and self._auto.follows(storage)
         single = storage.pushed or follows or bool(self.listeners)
-        batch = 1 if single else min(frames, self._frames_per_launch(storage.scene))
+        batch = 1
+        if not single and frames > 1:
+            batch = min(frames, self._frames_per_launch(storage.scene))
         passed = self._advance_together(storage, batch)
         self.frame += passed
         if passed < batch:
@@ -275,7 +277,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         self.changes_over = False
         watch = self._watch
         # One thread waits for nobody, and what was asked for teaches nothing.
-        if watch is None or (storage.specialization.threads == 1 and "auto" not in self._requested):
+        if watch is None or ("auto" not in self._requested and storage.specialization.threads == 1):
             return self._launch_frames(storage, frames)
         begin, of_threads = time.perf_counter(), time.process_time()
         passed = self._launch_frames(storage, frames)
@@ -287,8 +289,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
 
     def _launch_frames(self, storage: Storage, frames: int) -> int:
         steps = self.steps
-        storage.begin(steps)
-        spec, state = storage.specialization, storage.state
+        spec, state = storage.begin(steps)
         passed = self._launcher.advance(spec, state, steps, frames, self.substeps)
         if self._module.claims.forces == 0:  # the work of a step is not known beforehand
             self._work += storage.take_work()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -53,13 +54,18 @@ class Storage(Loading, Download, Handling):
         self._loaded = replace(self._now, numbers=numbers)
         self._upload().numbers(numbers)
 
-    def begin(self, done: int) -> None:
-        """Before frames, after `done` steps: compute what the method keeps, if that is outdated."""
+    def begin(self, done: int) -> tuple[Specialization, Any]:
+        """Before frames, after `done` steps: compute what the method keeps, if that is outdated.
+
+        Returns what is compiled to advance them, and the fields.
+        """
+        now = self._now
         if self._altered:
-            if self._now.container.spec.held:
+            if now.container.spec.held:
                 self._launch(grips.begin_launch, done)
-            self._launcher.begin(self._now.container.spec, self.state, done)
-        self._altered = False
+            self._launcher.begin(now.container.spec, now.container.state, done)
+            self._altered = False
+        return now.specialization, now.container.state
 
     def mark_new_springs(self, steps: int) -> None:
         """Mark the springs that are over their limit after `steps` steps, outside of any.
