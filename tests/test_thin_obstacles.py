@@ -1,10 +1,12 @@
 """Obstacles thinner than what a step moves, than a face's side, or than a grid's cells."""
 
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from taichi_cloth.cli import run_notes
 from taichi_cloth.kernels import mesh_thickness
 from taichi_cloth.kernels.faces import LEAST_ROOM
 from taichi_cloth.kernels.mesh_thickness import sampled
@@ -70,10 +72,13 @@ def test_a_face_does_not_pass_what_is_thinner_than_it_moves_in_a_step(device, sh
             assert not counted or way > 1.0
 
 
-def table(top, turn=0.0):
-    """A closed mesh: a plate of 1 m on a wide foot, whose top is as thick as that [length]."""
-    x = [-0.5, -0.5, -0.06, -0.06, 0.06, 0.06, 0.5, 0.5]
-    y = [0.0, -top, -top, -0.4, -0.4, -top, -top, 0.0]
+def table(top, turn=0.0, foot=0.06, end=-0.4):
+    """A closed mesh: a plate of 1 m on a foot, whose top is as thick as that [length].
+
+    foot: half of its width; end: how high its end is.
+    """
+    x = [-0.5, -0.5, -foot, -foot, foot, foot, 0.5, 0.5]
+    y = [0.0, -top, -top, end, end, -top, -top, 0.0]
     ring = np.column_stack([x, y])
     vertices = np.vstack([np.column_stack([ring, np.full(8, z)]) for z in (-0.5, 0.5)])
     cut = np.array([[0, 1, 2], [0, 2, 5], [2, 3, 4], [2, 4, 5], [0, 5, 7], [5, 6, 7]])
@@ -131,6 +136,41 @@ def test_the_thickness_of_a_mesh_is_that_between_its_sides(inside_out):
     away = np.abs(found.points[:, 0]) > 0.065
     np.testing.assert_allclose(found.thickness[top & away], 0.02, rtol=2e-2)
     np.testing.assert_allclose(found.thickness[top & over_foot], 0.4, rtol=2e-2)
+
+
+def body_with_a_fin(thick):
+    """A body of 0.5 x 1.7 x 0.3 with a fin of 60 mm below it, as thick as that [length]."""
+    mesh = table(1.7, foot=thick, end=-1.76)
+    return Obstacle.build("mesh", vertices=mesh["vertices"] * [0.5, 1.0, 0.3], faces=mesh["faces"])
+
+
+def test_a_fin_that_a_grid_can_meet_is_met_and_not_taken_for_a_tip():
+    """It ends nearer to the body than a cell of the usual width, but does not get thicker."""
+    fin = body_with_a_fin(0.014)
+    assert fault(fin, 3) is None
+    placed = solids(falling_square(fin, 1.0, 1e-3))[0].placed
+    assert placed.gone is None and placed.nodes[..., 0].size < mesh_shape.MOST_CHOSEN
+    low, high = [0.0, -1.75, -0.14], [0.0, -1.72, 0.14]
+    middle = np.random.default_rng(1).uniform(low, high, (500, 3))
+    for side in (-0.007, 0.007):
+        d, _ = mesh_shape.twin(placed, middle + [side, 0.0, 0.0])
+        assert np.abs(d).max() < 0.1 * 0.014
+    assert mesh_shape.twin(placed, middle)[0].max() < -0.2 * 0.014
+
+
+def test_a_small_part_too_thin_for_any_grid_is_lost_and_told_of(capsys):
+    """As the fingers of a body; it is no reason to refuse the rest."""
+    fin = body_with_a_fin(0.005)
+    assert fault(fin, 3) is None
+    found = solids(falling_square(fin, 1.0, 1e-3))
+    place, thick, share = found[0].placed.gone
+    assert thick == pytest.approx(0.005, rel=2e-2) and -1.76 <= place[1] < -1.7
+    area = 2 * 0.06 * 0.3 / (2 * (0.5 * 1.7 + 1.7 * 0.3 + 0.5 * 0.3))
+    assert 0.3 * area < share < 2 * area < 2 * mesh_thickness.MOST_LOST
+    sim = SimpleNamespace(storage=SimpleNamespace(solids=found))
+    run_notes.note_rounded(sim, SimpleNamespace(quiet=False))
+    says = capsys.readouterr().err
+    assert "warning: obstacle 0 is too thin" in says and "is 0.005 thick, at (" in says
 
 
 def test_what_tapers_off_is_no_thin_part():

@@ -19,6 +19,8 @@ TILT = 2e-3  # of a ray, which then goes through no edge
 SHARE = 0.1  # of its thickness, within which a grid is to meet it
 THINNEST = 0.75  # of a thickness: the widest cell that is sure to have a node well inside
 TAPERS, CLASSES = 1.25, 4.0  # see `badly_met`; of thickness, in an octave
+SLENDER = 2.0  # thicknesses within which what tapers off gets thicker: a finger does not
+MOST_LOST = 0.03  # of a mesh's area: fingers of a body are 2 %, and no table's top
 OPPOSED = 0.95  # cosine between two faces, from which on they are the two sides of something
 
 
@@ -26,11 +28,17 @@ OPPOSED = 0.95  # cosine between two faces, from which on they are the two sides
 class Samples:
     """Points (n, 3) on a mesh, the unit vectors (n, 3) that point into it there, and its thickness
     there, (n,): infinite where what lies opposite is not the other side of something thin.
+    share: of the mesh's area that each stands for, (n,).
     """
 
     points: np.ndarray
     inwards: np.ndarray
     thickness: np.ndarray
+    share: np.ndarray
+
+    def among(self, which: np.ndarray) -> "Samples":
+        """Those of them that are wanted, (n,) bool."""
+        return Samples(*(rows[which] for rows in vars(self).values()))
 
 
 def sampled(corners: np.ndarray) -> Samples:
@@ -59,7 +67,8 @@ def sampled(corners: np.ndarray) -> Samples:
         (normals * (_normals(corners) / np.maximum(area, 1e-300)[:, None])[opposite]).sum(axis=1)
     )
     first[cosine < OPPOSED] = np.inf
-    return Samples(points, inwards, first)
+    share = np.repeat([0.0, 1.0 / RANDOM], [len(mine), RANDOM])
+    return Samples(points, inwards, first, share)
 
 
 def badly_met(
@@ -69,27 +78,33 @@ def badly_met(
     them it does not meet within SHARE of their thickness: lost and rounded, (n,) bool.
 
     field(points): its distances, (n,); None: of a grid that meets all that is thick enough for its
-    cells. cell: their width. What is met badly is rounded,
-    not lost, where the mesh tapers off: at most `taper` from there it is TAPERS times as thick, or
-    half as much again, and met.
+    cells. cell: their width. What is met badly is rounded, not lost, where the mesh tapers off: at
+    most `taper` from there it is TAPERS times as thick, or half as much again, and met; and it gets
+    so much thicker within SLENDER thicknesses.
     """
     from scipy.spatial import cKDTree
 
     thickness = samples.thickness
     error = np.zeros(len(thickness)) if field is None else np.abs(field(samples.points))
     badly = (error > SHARE * thickness) | (THINNEST * thickness < cell)
-    solid = ~badly
+    solid = ~badly & np.isfinite(thickness)  # a tip is not, though its middle may be deep
     if field is not None:
         depth = np.minimum(thickness / 2.0, 2.0 * cell)
         solid &= field(samples.points + depth[:, None] * samples.inwards) <= -0.25 * depth
     rounded = np.zeros(len(error), bool)
     level = np.floor(np.log2(np.where(badly, thickness, 1.0)) * CLASSES)
-    for one in np.unique(level[badly]):
+    for one in np.unique(level[badly])[::-1]:
         mine = np.flatnonzero(badly & (level == one))
-        thicker = solid & (thickness >= TAPERS * thickness[mine].max())
-        if thicker.any():
-            apart, _ = cKDTree(samples.points[thicker]).query(samples.points[mine])
-            rounded[mine] = apart <= taper
+        most = thickness[mine].max()
+        near = np.ones(len(mine), bool)
+        for kept, reach in ((solid, taper), (solid | rounded, min(taper, SLENDER * most))):
+            thicker = kept & (thickness >= TAPERS * most)
+            if thicker.any():
+                apart, _ = cKDTree(samples.points[thicker]).query(samples.points[mine])
+                near &= apart <= reach
+            else:
+                near[:] = False
+        rounded[mine] = near
     return error, badly & ~rounded, rounded
 
 

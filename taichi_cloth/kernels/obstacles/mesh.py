@@ -9,7 +9,8 @@ fields: a survey", 2006; near the mesh distances are exact (Ericson, Real-Time C
 The mesh is compared with its own field: at points all over it the distance must be 0 within a tenth
 of its thickness there (`mesh_thickness.py`). Cells are made as small as its thickness asks, and
 smaller until it is met; where they would be too many, or their width is given, it is refused. What
-tapers off is as round as a cell that nobody asked to be smaller.
+tapers off is as round as a cell that nobody asked to be smaller. Where all that is too thin for any
+grid is a small part of the mesh, as the fingers of a body, it is lost, and its place is told of.
 """
 
 import functools
@@ -18,7 +19,13 @@ from dataclasses import dataclass
 import numpy as np
 import taichi as ti
 
-from taichi_cloth.kernels.mesh_thickness import THINNEST, Samples, badly_met, expanded, sampled
+from taichi_cloth.kernels.mesh_thickness import (
+    MOST_LOST,
+    THINNEST,
+    badly_met,
+    expanded,
+    sampled,
+)
 from taichi_cloth.kernels.obstacles.contract import (
     CELL,
     FACES,
@@ -172,6 +179,7 @@ def place(values, dim, margin):
         vertices=vertices,
         faces=faces,
         rounded=fit.rounded,
+        gone=fit.gone,
     )
 
 
@@ -197,7 +205,8 @@ class Fit:
 
     quickly: whether it has more nodes than usual, none of them asked for. lost: a point (3,) of the
     mesh that it is not met at, and its thickness there; None: none. rounded: likewise where it is
-    most rounded off, as it tapers there; and by how much.
+    most rounded off, as it tapers there; and by how much. gone: where it is thickest of what is
+    lost without a refusal, how thick, and what part of its area all that is; None: nothing.
     """
 
     low: np.ndarray
@@ -206,6 +215,7 @@ class Fit:
     quickly: bool
     lost: tuple[np.ndarray, float] | None
     rounded: tuple[np.ndarray, float] | None
+    gone: tuple[np.ndarray, float, float] | None = None
 
 
 @functools.lru_cache(maxsize=4)
@@ -220,8 +230,8 @@ def _fitted(vertices, faces, cell, least):
     usual = float(size.max()) / CELLS
     finest = _finest(size)
     samples, now = sampled(corners), cell or usual
-    samples = Samples(*(rows[samples.thickness >= least] for rows in vars(samples).values()))
-    grid, worst = None, None
+    samples = samples.among(samples.thickness >= least)
+    grid, worst, gone = None, None, None
     while True:
         field = None if grid is None else functools.partial(_distances_at, grid[0], now, grid[1])
         error, lost, rounded = badly_met(samples, field, now, max(usual, cell))
@@ -231,8 +241,17 @@ def _fitted(vertices, faces, cell, least):
         quickly = now < usual and not cell
         if not lost.any():
             if grid is not None:
-                return Fit(grid[0], now, *grid[1:], quickly, None, worst)
+                return Fit(grid[0], now, *grid[1:], quickly, None, worst, gone)
             grid = _grid(corners, now, 0.0, quickly)
+            continue
+        # What no grid meets, if it is little, is lost: another look at the rest.
+        hopeless = lost & (now <= finest or THINNEST * samples.thickness < finest)
+        share = float(samples.share[hopeless].sum()) + (gone[2] if gone else 0.0)
+        if hopeless.any() and share <= MOST_LOST and not cell:
+            which = np.where(hopeless, samples.thickness, 0.0).argmax()
+            if gone is None or samples.thickness[which] > gone[1]:
+                gone = samples.points[which], float(samples.thickness[which]), share
+            gone, samples = (*gone[:2], share), samples.among(~hopeless)
             continue
         thin = samples.thickness[lost]
         if cell or now <= finest or THINNEST * np.median(thin) < finest:
