@@ -12,8 +12,9 @@ import pytest
 from selection import thorough
 from test_trade import made_up
 
-from taichi_cloth.advice import choice, judges, tune
+from taichi_cloth.advice import choice, judges, survey, tune
 from taichi_cloth.cli.main import main
+from taichi_cloth.error_meter.others import results
 from taichi_cloth.error_meter.verdict import Verdict
 from taichi_cloth.error_meter.window import Window
 from taichi_cloth.errors import InputError
@@ -83,7 +84,7 @@ class MadeUpJudge:
     asked = []
     errors = {}
 
-    def measure(self, window, patience):
+    def measure(self, window, patience, floor):
         self.asked.append((window.first, patience))
         error = self.errors[window.first]
         if error is None and patience < 60:
@@ -187,7 +188,6 @@ def test_the_horizon_is_the_scene_s_own_length_and_five_seconds_at_least(paramet
 
 def test_the_horizon_of_a_large_scene_is_whole_seconds_that_can_be_kept():
     scene = library.build("cloth", columns=150, rows=150)
-    assert reference.most_frames(scene) - 0 == 177 or True
     assert reference.default_frames(scene) == reference.most_frames(scene) // 60 * 60 < 300
 
 
@@ -348,8 +348,8 @@ class MadeUpStudies:
         self.late = False
         monkeypatch.setattr(tune.command, "measured", self.measured)
         monkeypatch.setattr(tune.rows, "rows_of", self.rows_of)
-        monkeypatch.setattr(tune, "Judges", lambda journal: self)
-        self.spent, self.settings = 30.0, 2
+        monkeypatch.setattr(tune, "Judges", lambda journal, floor, within: self)
+        self.spent, self.windows = 30.0, 10
 
     def __enter__(self):
         return self
@@ -456,9 +456,10 @@ def test_without_time_to_judge_there_is_no_advice_and_the_time_that_it_takes(mon
     assert main(["tune", "oscillator", *TUNED, "--error", "1%", "--quick"]) == 2
     shown, said = capsys.readouterr()
     assert "taichi-cloth run" not in shown and said.count("\n") == 1
-    # Two settings took 30 s: eight that are finer 240, beside 24 of runs; the rest is to confirm.
+    # A second took 3 s, so a setting takes 15. Two more of them end at 48 + 30 s, which are to be
+    # 0.8 of the time.
     assert "no advice within 60 s: 0 of 8 settings could be judged over 5 seconds" in said
-    assert "about --within 7min" in said
+    assert "about --within 2min" in said
 
 
 def test_an_error_is_told_of_a_quarter_of_a_second_and_more(capsys):
@@ -537,3 +538,106 @@ def test_a_row_of_trade_is_what_the_meter_says_of_its_command(cli, tmp_path):
         errors = [float(text) for text in re.findall(r"over the last second: (\S+) %", told)]
         assert row["seconds"] == row["seconds_known"] == len(errors) == 3
         assert max(errors) == pytest.approx(100 * row["error_second"], rel=0.05)
+
+
+# ------------------------------------------------------------------------------------------
+# Surveys
+
+
+def surveyed(chosen, seconds, errors):
+    """What a survey finds; errors: of (method, substeps, second), in parts of what is wanted."""
+    found = []
+    for k in seconds:
+        wanted = [replace(trial, within=1.0) for trial in survey.trials(chosen, found)]
+        tries = {}
+        for name, n, error in results(wanted, lambda m, n, k=k: errors(m, n, k), 0.0):
+            tries.setdefault(name, []).append((n, error))
+        found.append({"tries": tries, "resting": False})
+    return survey.Survey.of_seconds(found)
+
+
+ORDERS = {"symplectic_euler": 1, "verlet": 2, "rk4": 4}
+
+
+def test_a_survey_leaves_few_settings_and_among_them_the_cheapest_that_meets_all_seconds():
+    """Against a search through all settings; by evaluations of forces, of which rk4 takes four."""
+    rng = np.random.default_rng(5)
+    for _ in range(200):
+        least = {"symplectic_euler": 6, "verlet": int(rng.choice([6, 12])), "rk4": 4}
+        large = {name: 10 ** rng.uniform(-1, 1.5) for name in least}
+        worse = np.exp(rng.uniform(0, 1, 5))
+
+        def errors(name, n, k, large=large, least=least, worse=worse):
+            return float(large[name] * worse[k] * (least[name] / n) ** ORDERS[name])
+
+        chosen = [
+            Setting(name, 0.1, fewest << k, precision)
+            for name, fewest in least.items()
+            for k in range(6)
+            for precision in ("f32", "f64", "compensated")
+        ]
+        made = surveyed(chosen, range(5), errors)
+        kept = made.narrowed(chosen, short=True)
+        cost = {"symplectic_euler": 1, "verlet": 1, "rk4": 4}
+        good = [
+            cost[name] * n
+            for name, fewest in least.items()
+            for n in range(fewest, 64 * fewest + 1)
+            if max(errors(name, n, k) for k in range(5)) <= 1.0
+        ]
+        meets = [s for s in kept if max(errors(s.method, s.substeps, k) for k in range(5)) <= 1.0]
+        assert {s.precision for s in meets} == {"f32", "f64"} and len(kept) <= 18
+        # Numbers are doubled, and costs of rk4 begin between those of others.
+        assert min(cost[s.method] * s.substeps for s in meets) <= 4 * min(good)
+        assert "by 5 of 5 seconds" in made.describe()
+
+
+def test_a_later_second_is_tried_from_what_those_before_asked_for():
+    chosen = [Setting(name, 0.1, n) for name in ORDERS for n in (4, 8, 16)]
+    first = {"tries": {"verlet": [(4, 9.0), (8, 4.0), (16, 0.9)], "rk4": [(4, 2.0)]}}
+    first["tries"]["symplectic_euler"] = [(4, 9.0), (8, 9.0), (16, 9.0)]
+    trials = survey.trials(chosen, [first | {"resting": False}])
+    # 16 evaluations are enough by verlet: symplectic Euler takes more than 16 and rk4 than 16.
+    assert [(trial.method, trial.equal, trial.least) for trial in trials] == [("verlet", 16, 16)]
+    assert trials[0].finest == 256
+    # A second in which nothing moves asks for nothing, one that is not known says nothing.
+    others = [{"tries": {}, "resting": True}, {"tries": {}, "resting": False}]
+    made = survey.Survey.of_seconds([first | {"resting": False}, *others])
+    assert (made.seconds, made.of) == (2, 3) and made.worth == {"verlet": (16, True)}
+    assert survey.Survey.of_seconds(others).narrowed(chosen, short=True) == chosen
+
+
+def test_methods_that_solve_equations_run_where_they_may_be_as_cheap():
+    implicit = [Setting("implicit_midpoint", 0.1, n) for n in (1, 2, 4, 8)]
+    swept = [Setting("xpbd", 0.1, n, iterations=4) for n in (1, 2, 4, 8)]
+    chosen = [Setting("verlet", 0.1, n) for n in (4, 8, 16)] + implicit + swept
+
+    def after(error):
+        return surveyed(chosen, range(2), lambda name, n, k: error / n)
+
+    made = after(16.0)
+    assert made.needs["verlet"][0] == 16
+    kept = made.narrowed(chosen, short=False)
+    assert [s.substeps for s in kept if s.method == "verlet"] == [16, 32, 64]
+    assert [s for s in kept if s.method != "verlet"] == [*implicit[:3], *swept[:3]]
+    assert {s.method for s in made.narrowed(chosen, short=True)} == {"verlet"}
+    # Where no explicit one is seen to do, all that was chosen may.
+    assert set(implicit + swept) < set(after(1e9).narrowed(chosen, short=True))
+
+
+def test_seconds_of_a_long_horizon_are_surveyed_here_and_there():
+    assert survey.looked_at(5) == [0, 1, 2, 3, 4]
+    assert survey.looked_at(20) == [0, 3, 5, 8, 11, 14, 16, 19]
+
+
+def test_tune_runs_what_a_survey_says(monkeypatch, capsys):
+    errors = {n: 0.009 / n for n in (8, 16, 32)}
+    studies = MadeUpStudies(monkeypatch, errors, errors)
+    studies.survey = lambda *given, **more: [
+        {"tries": {"verlet": [[4, 2.0], [8, 0.7]]}, "resting": False}
+    ]
+    asked = ["tune", "oscillator", "--methods", "verlet", "--error", "1%", "--within", "3min"]
+    assert main(asked) == 0
+    shown = capsys.readouterr().out
+    assert "survey: verlet from 8 substeps, by 1 of 1 second" in shown
+    assert "verlet, 8 substeps" in shown and "settings that a survey passed over" in shown

@@ -1,6 +1,7 @@
 """The error meter: windows made again to the bit, errors as `trade` has them, its process."""
 
 import os
+import pickle
 import re
 import signal
 import threading
@@ -20,7 +21,7 @@ from taichi_cloth.error_meter.judge import Judge, _Plan
 from taichi_cloth.error_meter.meter import ErrorMeter
 from taichi_cloth.error_meter.others import Trial
 from taichi_cloth.error_meter.verdict import Verdict
-from taichi_cloth.error_meter.window import FRAMES, GHOST, LEAST, WINDOW, Window
+from taichi_cloth.error_meter.window import FRAMES, GHOST, LEAST, SCENE, WINDOW, Window
 from taichi_cloth.errors import InputError
 from taichi_cloth.scene import library
 from taichi_cloth.simulation.simulation import Simulation
@@ -492,6 +493,65 @@ def test_a_window_is_made_again_by_other_methods(chain, judge, tmp_path):
     assert (twice, same) == (2 * n, n) and error == pytest.approx(verdict.relative, rel=1e-12)
     assert finer < 0.7 * error and others["rk4"][0][1] < 1e-2 * error
     assert {substeps for substeps, _ in others["explicit_euler"]} <= {8, 4, 2, 1}
+
+
+def surveying(judge, scene, folder):
+    """A judge that surveys a scene from its start, by what another one has compiled."""
+    made = Judge(1)
+    made._sims = judge._sims
+    (folder / SCENE).write_bytes(pickle.dumps(scene))
+    return made
+
+
+def test_a_survey_has_the_errors_of_seconds_that_follow_each_other(chain, judge, tmp_path):
+    """From the start, and from where SciPy's solution is a second later; by one reference each."""
+    sim, second = chain.sim, chain.window
+    method, n = chain.verdict.method, chain.verdict.own_substeps
+    trials = [asdict(Trial(method, n, n, 4 * n))]
+    made = surveying(judge, sim.scene, tmp_path)
+    asked = {"folder": str(tmp_path), "dt": second.dt, "patience": 60.0, "relative": True}
+    here = [made.survey(within=0.01, trials=trials, **asked) for _ in range(2)]
+    assert not any(found["trouble"] or found["slow"] or found["resting"] for found in here)
+    there = replace(sim.scene.particles, position=chain.smooth.x[-1], velocity=chain.smooth.v[-1])
+    sim.load_scene(replace(sim.scene, particles=there), second.dt, n)
+    later = Window.opened(sim)
+    for _ in range(FRAMES):
+        sim.advance()
+        later.note_frame(sim)
+    sim.load_scene(second.start.snapshot.scene, second.dt, n)
+    (tmp_path / "later").mkdir()
+    later.write(tmp_path / "later" / WINDOW, None)
+    for found, verdict in zip(
+        here, (chain.verdict, measured(judge, tmp_path / "later", 60.0)), strict=True
+    ):
+        (substeps, error), *_ = found["tries"][method]
+        assert substeps == n and 0.01 * error == pytest.approx(verdict.relative, rel=0.02)
+    # A second that is passed over is run through; an error may be a length; one may have no time.
+    made = surveying(judge, sim.scene, tmp_path)
+    asked["relative"] = False
+    assert made.survey(within=1.0, trials=[], **asked)["tries"] == {}
+    (_, error), *_ = made.survey(within=1.0, trials=trials, **asked)["tries"][method]
+    assert error == pytest.approx(measured(judge, tmp_path / "later", 60.0).error, rel=0.02)
+    slow = made.survey(within=1.0, trials=trials, **asked | {"patience": 1e-9})
+    assert slow["slow"] and "a second again" in slow["trouble"] and not slow["tries"]
+
+
+def test_an_error_below_what_is_asked_for_takes_no_finer_reference(chain, judge, tmp_path):
+    sim = judge._sims["rk4"]
+    sim.begin_from(chain.window.start, chain.window.dt, 8)
+    window = Window.opened(sim)
+    for _ in range(FRAMES):
+        sim.advance()
+        window.note_frame(sim)
+    window.write(tmp_path / WINDOW, None)
+    whole = Verdict(**judge.measure(str(tmp_path), 60.0))
+    soon = Verdict(**judge.measure(str(tmp_path), 60.0, floor=1e-3))
+    assert not (whole.trouble or soon.trouble) and whole.relative < 1e-5
+    assert soon.substeps < whole.substeps and soon.judged == FRAMES
+    assert abs(soon.relative - whole.relative) < 1e-3 / 5
+    # An error above it is told as ever.
+    same = Verdict(**judge.measure(str(chain.folder), 60.0, floor=chain.verdict.relative / 10))
+    assert (same.error, same.substeps) == (chain.verdict.error, chain.verdict.substeps)
 
 
 def test_parts_of_the_error_are_told_apart(judge, tmp_path):

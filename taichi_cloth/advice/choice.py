@@ -15,6 +15,7 @@ from taichi_cloth.trade.seconds import Second
 
 # Times as large as what is wanted: an error that is expected to be so is not judged.
 HOPELESS = 3.0
+SMALL = 0.1  # of what is wanted: an error below which nobody asks how small it is
 
 
 class TimeOver(Exception):
@@ -34,6 +35,11 @@ class Target:
     relative: bool = True
     frame_seconds: float | None = None
     penetration: float | None = None
+
+    @property
+    def floor(self) -> float:
+        """An error, in parts of a second's motion, below which nobody asks how small it is."""
+        return SMALL * self.error if self.error is not None and self.relative else 0.0
 
     def describe(self) -> str:
         words = []

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
+import pickle
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import astuple
+from dataclasses import asdict, astuple
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +17,18 @@ import numpy as np
 from taichi_cloth import runtime
 from taichi_cloth.advice.choice import TimeOver
 from taichi_cloth.error_meter.meter import JUDGE, PATIENCE
+from taichi_cloth.error_meter.others import Trial
 from taichi_cloth.error_meter.verdict import Verdict
-from taichi_cloth.error_meter.window import FEW, FRAMES, LEAST, STRIDE, WAITING, WINDOW, Window
+from taichi_cloth.error_meter.window import (
+    FEW,
+    FRAMES,
+    LEAST,
+    SCENE,
+    STRIDE,
+    WAITING,
+    WINDOW,
+    Window,
+)
 from taichi_cloth.measuring.worker import Worker, WorkerFailed
 from taichi_cloth.scene.fingerprint import scene_hash
 from taichi_cloth.scene.model import Scene
@@ -27,6 +39,7 @@ from taichi_cloth.trade.seconds import Second, read_starts
 from taichi_cloth.trade.settings import Setting
 
 MOST_JUDGES = 2  # processes: each has to compile the references for itself
+WAITS = 0.1  # of a limited time: what a second that is not known soon may take
 
 
 class _Judge:
@@ -37,21 +50,35 @@ class _Judge:
         self._worker: Worker | None = None
         self._known: Scene | None = None  # what the process has
 
-    def measure(self, window: Window, patience: float) -> Verdict:
+    def measure(self, window: Window, patience: float, floor: float) -> Verdict:
         """The verdict on a window; one without an error where the process fails."""
         folder = Path(self._folder.name)
         try:
-            if self._worker is None or not self._worker.alive:
-                self.close_worker()
-                self._worker = Worker(folder, {"OMP_NUM_THREADS": "1"})
-                self._worker.ask(make=JUDGE, **{"as": "judge", "with": {"threads": None}})
+            worker = self._running()
             window.write(folder / WINDOW, self._known)
             self._known = window.start.snapshot.scene
-            given = {"folder": str(folder), "patience": patience}
-            answer = self._worker.ask(of="judge", do="measure", **{"with": given})
+            given = {"folder": str(folder), "patience": patience, "floor": floor}
+            answer = worker.ask(of="judge", do="measure", **{"with": given})
             return Verdict(**answer["result"])
         except WorkerFailed as failure:
             return Verdict(window.first, window.frames, trouble=str(failure))
+
+    def survey(self, scene: Scene, **given: Any) -> dict[str, Any]:
+        """The next second of a scene's survey (`error_meter.judge.Judge.survey`)."""
+        folder = Path(self._folder.name)
+        worker = self._running()
+        (folder / SCENE).write_bytes(pickle.dumps(scene))
+        asked = {"folder": str(folder), **given}
+        result: dict[str, Any] = worker.ask(of="judge", do="survey", **{"with": asked})["result"]
+        return result
+
+    def _running(self) -> Worker:
+        """The process, started where there is none."""
+        if self._worker is None or not self._worker.alive:
+            self.close_worker()
+            self._worker = Worker(Path(self._folder.name), {"OMP_NUM_THREADS": "1"})
+            self._worker.ask(make=JUDGE, **{"as": "judge", "with": {"threads": None}})
+        return self._worker
 
     def close_worker(self) -> None:
         """End the process."""
@@ -68,17 +95,20 @@ class _Judge:
 class Judges:
     """Judges the seconds of settings' runs, some at once.
 
-    journal: has the verdicts that are known, and gets them. spent, settings: seconds that it took
-    so far, and for how many settings.
+    journal: has the verdicts that are known, and gets them. floor: an error, in parts of a second's
+    motion, below which nobody asks how small it is: that takes no finer reference. within: the time
+    of the whole sweep, which bounds what one second may take. spent, windows: seconds that it took
+    so far, and how many windows were judged in them.
     """
 
-    def __init__(self, journal: Journal):
+    def __init__(self, journal: Journal, floor: float = 0.0, within: float = math.inf):
         count = min(MOST_JUDGES, runtime.available_cores())
         self._judges = [_Judge() for _ in range(count)]
         self._pool = ThreadPoolExecutor(count)
-        self._journal = journal
+        self._journal, self._floor = journal, floor
         self._hashes: dict[int, tuple[Scene, str]] = {}
-        self.spent, self.settings = 0.0, 0
+        self._waiting = min(WAITING, max(PATIENCE, WAITS * within))
+        self.spent, self.windows = 0.0, 0
 
     def __enter__(self) -> Judges:
         return self
@@ -89,6 +119,46 @@ class Judges:
         self._pool.shutdown(cancel_futures=True)
         for judge in self._judges:
             judge.close()
+
+    def survey(
+        self,
+        scene: Scene,
+        dt: float,
+        seconds: Collection[int],
+        trials: Callable[[list[dict[str, Any]]], Sequence[Trial]],
+        clock: Clock,
+        *,
+        error: float,
+        relative: bool,
+    ) -> list[dict[str, Any]]:
+        """What each of some seconds of a scene asks for, up to the clock's end: in one process.
+
+        trials: of a second, after what was found in those before. error, relative: as `within` and
+        `relative` of `Judge.survey`.
+        """
+        asked = dt, list(seconds), [asdict(trial) for trial in trials([])], error, relative
+        key = key_of("survey", self._hash(scene), *asked)
+        entry = self._journal.get(key)
+        if entry is not None:
+            return list(entry.result)
+        found: list[dict[str, Any]] = []
+        patience = PATIENCE
+        for second in range(max(seconds) + 1):
+            if clock.left() < 0:
+                return found
+            given: dict[str, Any] = {"dt": dt, "within": error, "relative": relative}
+            of = trials(found) if second in seconds else ()
+            given |= {"trials": [asdict(trial) for trial in of]}
+            result = self._judges[0].survey(scene, patience=min(patience, clock.left()), **given)
+            if result["slow"] and patience < WAITING:
+                patience = WAITING
+                result = self._judges[0].survey(scene, patience=clock.left(), **given)
+            if second in seconds:
+                found.append(result)
+            if result["slow"]:
+                return found
+        self._journal.add(key, found)
+        return found
 
     def seconds(
         self,
@@ -104,13 +174,14 @@ class Judges:
         """The seconds of a setting's run from a frame on, up to the first that fails.
 
         count: of them at most. thorough: whether a second that cannot be told in the time that a
-        window's has is given that of a headless run. Raises TimeOver at the clock's end.
+        window's has is given that of a headless run, as far as the whole time allows. Raises
+        TimeOver at the clock's end.
         """
         windows = [w for w in windows_of(scene, outcome) if w.first >= begin][:count]
-        now, self.settings = time.perf_counter(), self.settings + 1
+        now = time.perf_counter()
         try:
             found: dict[int, Second] = {}
-            for patience in (PATIENCE, WAITING)[: 1 + thorough]:
+            for patience in (PATIENCE, self._waiting)[: 1 + thorough]:
                 left = [window for window in windows if not _is_sure(found.get(window.first))]
                 self._judge(scene, outcome.setting, left, clock, patience, fails, found)
                 if any(map(fails, found.values())):
@@ -140,6 +211,7 @@ class Judges:
             def one(judge: _Judge, window: Window, patient: float = patient) -> Second:
                 return self._second(scene, setting, window, judge, patience, patient)
 
+            self.windows += len(some)
             for second in self._pool.map(one, self._judges, some):
                 found[second.first] = second
             if any(fails(found[window.first]) for window in some):
@@ -156,12 +228,13 @@ class Judges:
     ) -> Second:
         """A second, from the journal where it is known; patient: seconds that there are for it."""
         key = key_of(
-            "second", self._hash(scene), *astuple(setting), window.first, window.frames, patience
+            *("second", self._hash(scene), *astuple(setting), window.first, window.frames),
+            *(patience, self._floor),
         )
         entry = self._journal.get(key)
         if entry is not None:
             return Second(**entry.result)
-        second = second_of(judge.measure(window, patient))
+        second = second_of(judge.measure(window, patient, self._floor))
         if patient == patience:
             self._journal.add(key, vars(second))
         return second

@@ -22,7 +22,7 @@ from taichi_cloth.sweeps.journal import Journal, kept
 from taichi_cloth.trade import command, reference, report, rows
 from taichi_cloth.trade.outcomes import Outcome, Result
 from taichi_cloth.trade.seconds import SECOND, Second
-from taichi_cloth.trade.settings import Setting
+from taichi_cloth.trade.settings import Setting, unplanned
 
 RUNS = 0.6  # of the time there is: what the runs and their references may take
 
@@ -47,6 +47,8 @@ def main(source: SceneSource, options: TradeOptions) -> int:
                 # Before anything was finished.
                 raise result.interrupted or KeyboardInterrupt
             result.clock = how.clock
+            if how.clock.limited and not result.interrupted:
+                result.left_out += unplanned(scene, options, set(chosen))
             seconds = _judged(result, journal)
             words = command.run_words(source, how)
             made = rows.rows_of(result, command.common(scene), words, seconds)

@@ -13,12 +13,14 @@ import shlex
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from taichi_cloth import console
+from taichi_cloth.advice import survey
 from taichi_cloth.advice.choice import Choice, Figures, Target, is_measured
 from taichi_cloth.advice.horizon import in_seconds, say_horizon
 from taichi_cloth.advice.judges import Judges
@@ -38,19 +40,22 @@ from taichi_cloth.sweeps.identity import of_scene
 from taichi_cloth.sweeps.journal import Journal, kept
 from taichi_cloth.sweeps.tasks import Elsewhere
 from taichi_cloth.sweeps.within import Clock, rounded_up, said_of_left_out
-from taichi_cloth.trade import command, reference, rows
+from taichi_cloth.trade import command, reference, rows, settings
 from taichi_cloth.trade.conditions import RunConditions
 from taichi_cloth.trade.errors import touches_anything
 from taichi_cloth.trade.outcomes import Outcome, Result
 from taichi_cloth.trade.rows import Row
+from taichi_cloth.trade.seconds import SECOND
 from taichi_cloth.trade.settings import Setting
 
 # Speeds that the confirming run begins with besides its own, in parts of the speeds that the
 # scene has by itself (root of the mean square).
 KICK = 0.1
-RUNS = 0.4  # of the time there is: what the runs may take that are chosen from
-DEARER = 2.0  # times as long as those that were judged: the settings that were not, which are finer
-CHOICE = 0.7  # the same with judging them, before the choice is confirmed
+# Of the time there is: until when a survey goes on, and the runs that are chosen from.
+SURVEY, RUNS = 0.4, 0.6
+ROWS = 2  # settings that are judged whole, about, until one meets the target
+CONFIRMS = 4  # times a run: twice as many frames, which are timed, too
+CHOICE = 0.8  # the same with judging them, before the choice is confirmed
 BATCH = 3  # times as many as were tried before are confirmed beside each other
 UNTRIED = "the confirmation of"  # how the line begins that says that there was no time for some
 MOST_TOLD = 8  # of those that did not hold
@@ -96,7 +101,7 @@ def main(source: SceneSource, options: TuneOptions) -> int:
         folder_of_results(folder, ()),
         connected(options.on, options.times_on) as elsewhere,
         kept(folder, known, options.resume, options.json, how.clock.seconds) as journal,
-        Judges(journal) as judges,
+        Judges(journal, target.floor, how.clock.seconds) as judges,
     ):
         if not options.json:
             say_horizon(frames)
@@ -149,8 +154,28 @@ class _Tuning:
 
         Raises InputError where none meets it.
         """
-        runs, clock = replace(self.how, clock=self.how.clock.part(RUNS)), self.how.clock
-        with self._measured(self.options, self.scene, self.chosen, runs) as result:
+        tried: list[Attempt] = []
+        rounds, passed = self._surveyed()
+        for number, chosen in enumerate(rounds, 1):
+            begin = self.how.clock.left()
+            found, left_out, why = self._of_a_round(chosen)
+            tried += found
+            held, time_left = bool(tried) and tried[-1].held, self.how.clock.left()
+            if held or self.how.clock.limited and time_left < begin - time_left:
+                break
+            if number < len(rounds) and not self.options.json:
+                says = "none of these holds: far finer steps are tried"
+                console.say(console.output(), says)
+        if not tried:
+            raise InputError(why)
+        return tried, [*left_out, *passed]
+
+    def _of_a_round(self, chosen: Sequence[Setting]) -> tuple[list[Attempt], list[str], str]:
+        """The same of some settings, and why there is no advice where none meets the target."""
+        clock = self.how.clock
+        part = RUNS if clock.left() > (1 - RUNS) * clock.seconds else CHOICE
+        runs = replace(self.how, clock=clock.part(part))
+        with self._measured(self.options, self.scene, chosen, runs) as result:
             result.check_some(clock)
             if self.target.penetration is not None:
                 _refuse_untouched(result, self.target)
@@ -160,13 +185,34 @@ class _Tuning:
             choice = Choice(made, self.target, self._judged)
             tried = confirm(choice.candidates(), self.target, self._again, clock)
             left_out = list(result.left_out)
-        if not tried:
-            raise InputError(self._no_advice(choice, left_out))
         if choice.late:
             left_out.append(f"judging {counted(choice.left, 'setting')}")
-        if not tried[-1].held and choice.left:
+        if tried and not tried[-1].held and choice.left:
             left_out.append(f"{UNTRIED} up to {counted(choice.left, 'setting')}")
-        return tried, left_out
+        return tried, left_out, "" if tried else self._no_advice(choice, chosen, left_out)
+
+    def _surveyed(self) -> tuple[Sequence[Sequence[Setting]], list[str]]:
+        """The settings that are worth running, in rounds of which each is run where none before
+        holds, and what was left out, a line each.
+        """
+        clock, plan = self.how.clock, settings.unplanned
+        trials = partial(survey.trials, self.chosen)
+        if self.target.error is None or self.options.substeps or not trials([]):
+            left_out = plan(self.scene, self.options, set(self.chosen)) if clock.limited else []
+            return [self.chosen], left_out
+        seconds = survey.looked_at(max(self._frames // SECOND, 1))
+        found = self.judges.survey(
+            self.scene, self.chosen[0].dt, seconds, trials, clock.part(SURVEY),
+            error=self.target.error, relative=self.target.relative,
+        )  # fmt: skip
+        made = survey.Survey.of_seconds(found)
+        short = clock.limited and not self.options.methods
+        count = survey.ROUNDS if made.needs else 1
+        rounds = [made.narrowed(self.chosen, short, again) for again in range(count)]
+        if made.needs and not self.options.json:
+            console.say(console.output(), f"survey: {made.describe()}", hang=2)
+        passed = len(set(self.chosen) - set(rounds[0]))
+        return rounds, [f"{counted(passed, 'setting')} that a survey passed over"] * bool(passed)
 
     @contextlib.contextmanager
     def _measured(
@@ -206,23 +252,34 @@ class _Tuning:
                 judged = {row.setting: seconds}
                 yield from rows.rows_of(alone, command.common(other), [], judged)
 
-    def _no_advice(self, choice: Choice, left_out: Sequence[str]) -> str:
+    def _no_advice(self, choice: Choice, chosen: Sequence[Setting], left_out: Sequence[str]) -> str:
         """Why there is no advice: nothing meets the target, or there was no time to see."""
+        unrun = [setting for setting in chosen if setting not in self._runs]
+        if not choice.late and not (self.how.clock.limited and unrun):
+            return choice.refusal()
+        of = counted(len(choice.usable), "setting")
+        seen = f"{choice.judged} of {of} could be judged over {in_seconds(self._frames)}"
         if not choice.late:
-            more = "; what --within left out may do better" if left_out else ""
-            return choice.refusal() + more
-        all_of_them = counted(len(choice.usable), "setting")
+            more = f"; {counted(len(unrun), 'more setting')} should do, and could not be run"
+            seen = choice.refusal().partition(": ")[2] + more
         return (
-            f"{self.target.describe()}: no advice within {self.how.clock.describe()}: "
-            f"{choice.judged} of {all_of_them} could be judged over {in_seconds(self._frames)}; "
-            f"use about --within {self._needed(choice)}, or fewer --frames"
+            f"{self.target.describe()}: no advice within {self.how.clock.describe()}: {seen}; "
+            f"use about --within {self._needed([] if choice.late else unrun)}, or fewer --frames"
         )
 
-    def _needed(self, choice: Choice) -> str:
-        """The time that would do, from what was judged until now: the rest takes longer."""
-        each = DEARER * self.judges.spent / max(self.judges.settings, 1)
-        runs = RUNS * self.how.clock.seconds
-        return rounded_up((runs + each * len(choice.usable)) / CHOICE)
+    def _needed(self, unrun: Sequence[Setting]) -> str:
+        """The time that would do, by what was measured until now: more settings are judged, or
+        run and judged where these were `unrun`, and one is confirmed.
+        """
+        clock = self.how.clock
+        each = max(self._frames // SECOND, 1) * self.judges.spent / max(self.judges.windows, 1)
+        rates = [run.sampled_in / run.setting.substeps for run in self._runs.values() if run.ok]
+        of = unrun or [setting for setting, run in self._runs.items() if run.ok]
+        run = max(rates, default=0.0) * min((setting.substeps for setting in of), default=0)
+        runs = RUNS * clock.seconds + 2 * run * bool(unrun)
+        gone = clock.seconds - clock.left() if unrun else CHOICE * clock.seconds
+        choice = gone + 2 * run * bool(unrun) + ROWS * each
+        return rounded_up(max(runs / RUNS, choice / CHOICE, choice + each + CONFIRMS * run))
 
 
 def _refuse_untouched(result: Result, target: Target) -> None:

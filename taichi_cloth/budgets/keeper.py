@@ -15,7 +15,7 @@ from taichi_cloth.budgets.drawing import Drawing
 from taichi_cloth.budgets.frames import Frame, FrameTimes
 from taichi_cloth.budgets.goal import Goal
 from taichi_cloth.budgets.methods import Found, Rival, Rivals, explicit
-from taichi_cloth.budgets.seconds import MARGIN, Second, SecondErrors
+from taichi_cloth.budgets.seconds import MARGIN, RECENT, Second, SecondErrors
 from taichi_cloth.budgets.solver import SolverErrors
 from taichi_cloth.console import percent
 from taichi_cloth.errors import InputError
@@ -30,6 +30,7 @@ from taichi_cloth.simulation.prediction import predict
 if TYPE_CHECKING:
     from taichi_cloth.error_meter.others import Trial
     from taichi_cloth.error_meter.verdict import Verdict
+    from taichi_cloth.scene.model import Scene
     from taichi_cloth.simulation.simulation import Simulation
 
 LOOK = 15  # frames between looks at what is broken
@@ -38,6 +39,9 @@ MOVED = 60  # frames after which a limit that depends on speeds is found anew
 ANEW = 2.0  # times: by how much what is measured differs from what is known, to be taken for it
 UNMEASURED = 64  # times as many as the fewest at most, until a second is: they may be of no use
 LONGEST = 0.1  # seconds of a frame: no error is worth slower ones
+# Times as large as a small disturbance gets in a second of what swings far and folds undamped. It
+# swings calmly at first, which says nothing of the seconds to come: so for the first RECENT ones.
+FOLDS, FAR = 1e4, 0.2  # and what is far, in parts of the scene's extent
 
 
 class Keeper:
@@ -257,13 +261,22 @@ class Keeper:
             others.get(verdict.method, ()),
             trouble,
             left,
-            math.exp((verdict.growth or 0.0) * verdict.judged),
+            self._growth(verdict),
             verdict.acted,
         )
         torn = bool(within) and max(within) > min(within)
         self._errors.note(second, torn)
         self._rivals.note(second, others, torn)
         self._due = self._judged = True
+
+    def _growth(self, verdict: Verdict) -> float:
+        """How many times as large a small disturbance got in a second, or may get in the next."""
+        seen = math.exp((verdict.growth or 0.0) * verdict.judged)
+        scene = self._sim.scene
+        extent = float(np.linalg.norm(np.ptp(scene.particles.position, axis=0)))
+        far = verdict.known and verdict.scale > FAR * extent
+        early = self._verdicts < RECENT
+        return max(seen, FOLDS) if early and far and not _loses_energy(scene) else seen
 
     def _best(self) -> int | None:
         """The most substeps that are of use, as measured; it stays where it differs by little."""
@@ -296,6 +309,12 @@ class Keeper:
             if fits < most:
                 most, why = fits, f"frames would take more than {1e3 * LONGEST:g} ms to simulate"
         return Limits(least, max(most, least), why)
+
+
+def _loses_energy(scene: Scene) -> bool:
+    """Whether anything damps the scene: drag, dashpots or air."""
+    damped = (scene.particles.viscous > 0).any() or (scene.springs.damping > 0).any()
+    return bool(damped) or "air" in scene.world.more
 
 
 class StableSteps:

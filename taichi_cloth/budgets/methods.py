@@ -157,7 +157,7 @@ class Rivals:
     def _seconds(self, pressed: bool = False) -> int:
         """How many have to say that another method is better.
 
-        pressed: whether the present one misses the error, or would take far more substeps.
+        pressed: whether the present one misses the error, or is to take far more substeps.
         """
         most = LATELY if self._goal is None else RECENT
         return min((1 if pressed else ENOUGH) << self.changes, most)
@@ -175,7 +175,8 @@ class Rivals:
         """
         found = []
         needed = own.needed or 0.0
-        pressed = self._goal is not None and (own.missed or needed > FARTHEST * now)
+        harder = own.missed or own.restless or needed > FARTHEST * now
+        pressed = self._goal is not None and harder
         for rival in rivals:
             errors = self._errors.get(rival.name)
             if errors is None or rival.name in self._refused:
@@ -193,7 +194,7 @@ class Rivals:
         needed, theirs = own.needed, errors.needed
         if needed is None or theirs is None or not all(map(errors.met, errors.sure)):
             return None
-        there = rival.limits.at_least(theirs)
+        there = rival.limits.at_least(errors.wanted(rival.limits))
         if there is None:
             return None
         tried = max((s.finest[0] for s in own.sure if not own.met(s)), default=0)

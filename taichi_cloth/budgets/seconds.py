@@ -37,7 +37,8 @@ UNSURE = 3  # seconds in a row without a sure error: then there is none to keep 
 # much differs from second to second: as the power VARIES of the rest, over the number of seconds
 # that were seen, and at least as SETTLED. Of chains and cloths that swing undamped and fold,
 # seconds to come were within that of those before.
-CALM, VARIES, SETTLED = 50.0, 2.0, 0.35
+CALM, VARIES, SETTLED = 50.0, 2.0, 1.0
+MOST_SPARED = 6.0  # times as many substeps, at most, as the seconds that were seen asked for
 
 
 @dataclass(frozen=True)
@@ -200,17 +201,27 @@ class SecondErrors:
         """Whether some of the substeps that were tried had the error that is aimed at."""
         return second.curve[-1][1] <= MARGIN * self.goal if second.curve else True
 
-    def spare(self, most: float = FARTHEST) -> list[float]:
+    @property
+    def _grew(self) -> list[float]:
+        """By how much more than is calm a disturbance grew in each sure second, as a logarithm."""
+        return [max(math.log(max(s.growth, 1.0) / CALM), 0.0) for s in self.sure]
+
+    @property
+    def restless(self) -> bool:
+        """Whether disturbances grow, so that seconds to come may be far worse."""
+        return any(self._grew)
+
+    def spare(self, most: float = MOST_SPARED) -> list[float]:
         """How many times as many substeps each sure second is worth, as others may be worse.
 
         most: how many at most.
         """
-        logs = [max(math.log(max(s.growth, 1.0) / CALM), 0.0) for s in self.sure]
+        logs = self._grew
         seen = sum(log >= max(logs) / 2 for log in logs) or 1
         power = max(VARIES / seen, SETTLED)
         return [min(math.exp(log * power / self.claimed), most) for log in logs]
 
-    def worth(self, most: float = FARTHEST) -> float | None:
+    def worth(self, most: float = MOST_SPARED) -> float | None:
         """The substeps for the last seconds but few, and for worse ones, by at most so many times
         as many; None: none was measured.
         """
@@ -221,6 +232,14 @@ class SecondErrors:
     def needed(self) -> float | None:
         """The substeps that are enough for the last seconds but few; None: none was measured."""
         return self.worth()
+
+    def wanted(self, limits: Limits) -> float:
+        """The substeps that are wanted now: enough for the last seconds but few, more while springs
+        tear, and, where disturbances grow, as many as at first until more seconds were seen.
+        """
+        needed = (self.needed or 1.0) * (UNSEEN if self._alarm else 1)
+        early = self.restless and len(self._lately) < RECENT
+        return max(needed, FIRST * limits.least) if early else needed
 
     @property
     def _spared(self) -> float:
@@ -256,8 +275,7 @@ class SecondErrors:
             )
         if len(self._lately) >= UNSURE and all(s.trouble for s in list(self._lately)[-UNSURE:]):
             return self._undefined(now, limits)
-        needed = (self.needed or 1.0) * (UNSEEN if self._alarm else 1)
-        wanted = limits.at_least(needed) or limits.rungs()[-1]
+        wanted = limits.at_least(self.wanted(limits)) or limits.rungs()[-1]
         floor = now
         last = self._lately[-1]
         if self._since >= PATIENCE and last.substeps == now and not last.trouble:

@@ -19,12 +19,15 @@ import numpy as np
 from taichi_cloth import runtime
 from taichi_cloth.error_meter import ghost
 from taichi_cloth.error_meter.others import Trial, results
-from taichi_cloth.error_meter.verdict import AIM, GREW, MILLIONTH, THIRD, Verdict
+from taichi_cloth.error_meter.verdict import AIM, GREW, MILLIONTH, REST, THIRD, Verdict
 from taichi_cloth.error_meter.window import (
+    FEW,
     FRAMES,
     GHOST,
     LEAST,
+    SCENE,
     STAGE,
+    STRIDE,
     WAITING,
     WINDOW,
     Window,
@@ -118,14 +121,17 @@ class Judge:
         self._until = math.inf
         self._folder = Path()
         self._springs: list[np.ndarray] = []  # at each sample of the last run
+        self._next: Start | None = None  # of the second that is surveyed next
         self._measured: _Measured | None = None
 
-    def measure(self, folder: str, patience: float, within: float = math.inf) -> dict[str, Any]:
+    def measure(
+        self, folder: str, patience: float, within: float = math.inf, floor: float = 0.0
+    ) -> dict[str, Any]:
         """The verdict on the window in a folder, as a dictionary; the reference is put there, too.
 
         What the error comes from is left to `part`. patience: seconds that the references may take,
         compiling left out. within: an error, in parts of the motion, that these are to tell, too,
-        where the window's own is larger.
+        where the window's own is larger. floor: an error below which nobody asks how small it is.
         """
         self._folder, self._measured = Path(folder), None
         window, begin = self._read(self._folder / WINDOW), time.perf_counter()
@@ -136,7 +142,7 @@ class Judge:
             own_substeps=own, acted=any(window.acts.values()),
         )  # fmt: skip
         try:
-            verdict = self._verdict(window, verdict, patience, within)
+            verdict = self._verdict(window, verdict, patience, within, floor)
         except TooSlow as slow:
             verdict = replace(verdict, trouble=str(slow))
         except (SimulationFailure, InputError) as failure:
@@ -161,6 +167,74 @@ class Judge:
             verdict = self._tried(measured, verdict, [Trial(**trial) for trial in trials])
         return asdict(replace(verdict, seconds=verdict.seconds + time.perf_counter() - begin))
 
+    def survey(
+        self, folder: str, dt: float, patience: float, within: float, relative: bool,
+        trials: Sequence[dict[str, Any]],
+    ) -> dict[str, Any]:  # fmt: skip
+        """Errors of other settings in the next second of a scene's own motion, in f64.
+
+        Seconds follow each other, from the start of the scene that lies in the folder, along the
+        coarsest reference. Each has one reference for all settings, no finer than it takes to tell
+        an error of `within`: in parts of the second's motion where `relative`, else in world units.
+        patience: seconds for the references, and again for the settings. trials: as of `part`, none
+        for a second that is passed over; their errors are what is wanted.
+        Returns `tries`, by method (substeps, error / within) of each; `trouble`, why there are
+        none; `slow`, whether that is for want of time; `resting`, whether nothing moved; `seconds`.
+        """
+        self._folder, begin = Path(folder), time.perf_counter()
+        found: dict[str, Any] = {"tries": {}, "trouble": "", "slow": False, "resting": False}
+        try:
+            found |= self._surveyed(dt, patience, within, relative, trials)
+        except TooSlow as slow:
+            found |= {"trouble": str(slow), "slow": True}
+        except (SimulationFailure, InputError) as failure:
+            found["trouble"] = f"the reference fails: {failure}"
+        return found | {"seconds": time.perf_counter() - begin}
+
+    def _surveyed(
+        self, dt: float, patience: float, within: float, relative: bool,
+        trials: Sequence[dict[str, Any]],
+    ) -> dict[str, Any]:  # fmt: skip
+        method = reference.fine_method()
+        if self._next is None:
+            given = pickle.loads((self._folder / SCENE).read_bytes())
+            sim = self._sim(method, given)
+            sim.load_scene(given, dt, 1)
+            self._next = sim.start()
+        start = self._next
+        scene = start.snapshot.scene
+        substeps = reference.coarsest(scene, dt, RESOLUTION)
+        stride = 1 if len(start.snapshot.x) <= FEW else STRIDE
+        window = Window(start, 0, method, dt, {}, "f64", stride, [substeps] * FRAMES)
+        plan = _Plan(method, window.substeps, {}, start)
+        self._compile(window, plan, "the reference")
+        self._until = time.perf_counter() + patience
+        coarsest = self._reference(window, plan)
+        if len(coarsest) <= FRAMES // stride:
+            raise TooSlow(f"{patience:g} s do not make a second again at {substeps} substeps")
+        self._next = self._sims[method].start()
+        if not trials:
+            return {}
+        scale = errors.displacement(coarsest, ~scene.particles.fixed)
+        if scale < REST * float(np.linalg.norm(scene.world.size)):
+            return {"resting": True}
+        part = within if relative else within / scale
+        found = self._refined(window, plan, coarsest, coarsest, part, part)
+        if not found.sure:
+            return {"trouble": "references differ"}
+        finest, first = found.finest.first(found.sure), coarsest.first(found.sure)
+        scale = reference.extent(scene, finest)[0]
+        part = within if relative else within / scale
+        error = errors.distance(first, finest, ~scene.particles.fixed).trajectory
+        verdict = Verdict(
+            0, FRAMES, error=error, scale=scale, own_substeps=substeps, judged=found.sure * stride
+        )
+        measured = _Measured(window, verdict, first, finest, first, substeps)
+        self._until = time.perf_counter() + patience
+        wanted = [replace(Trial(**trial), within=part) for trial in trials]
+        tries = self._tried(measured, verdict, wanted).others
+        return {"tries": {name: [(n, e / part) for n, e in of] for name, of in tries.items()}}
+
     def _tell(self, stage: str) -> None:
         """Have the parent know what is done now."""
         (self._folder / STAGE).write_text(stage)
@@ -173,7 +247,9 @@ class Judge:
         taken = Snapshot(**{**snapshot, "scene": self._scene})
         return Window(**{**parts, "start": Start(**{**start, "snapshot": taken})})
 
-    def _verdict(self, window: Window, verdict: Verdict, patience: float, within: float) -> Verdict:
+    def _verdict(
+        self, window: Window, verdict: Verdict, patience: float, within: float, floor: float
+    ) -> Verdict:
         """The verdict with the error; TooSlow where too few frames can be made again in time."""
         start, shown = window.start, _samples(np.asarray(window.shown, np.float64))
         scene, method = start.snapshot.scene, reference.fine_method()
@@ -194,7 +270,7 @@ class Judge:
                 * (patience < WAITING)
             )
         self._until = begin + patience
-        found = self._refined(window, plan, coarsest, shown, within)
+        found = self._refined(window, plan, coarsest, shown, within, floor)
         samples = found.sure or len(found.finest) - 1
         finest, seen = found.finest.first(samples), shown.first(samples)
         scale, _ = reference.extent(scene, finest)
@@ -230,6 +306,7 @@ class Judge:
         coarsest: errors.Samples,
         shown: errors.Samples,
         within: float,
+        floor: float,
     ) -> _Reference:
         """The reference, and how far it is one, in the time that there is.
 
@@ -252,7 +329,7 @@ class Judge:
             if made < 1:
                 raise TooSlow("the second reference takes too long")
             before = before.first(made)
-            sure, enough = _agreement(shown.first(made), finer, before, free, within)
+            sure, enough = _agreement(shown.first(made), finer, before, free, within, floor)
             sure = sure if sure >= least else 0
             found = _Reference(finer, before, plan.substeps[0], sure, self._springs)
             best = found if best is None or found.worth >= best.worth else best
@@ -343,11 +420,7 @@ class Judge:
     def _run(self, window: Window, plan: _Plan) -> errors.Samples:
         """The window's frames and acts in another way: so many as there is time for."""
         scene, count = plan.start.snapshot.scene, len(plan.start.snapshot.x)
-        sim = self._sims.get(plan.method)
-        if sim is None:
-            stored, run = conditions.best_for(scene, self._threads)
-            sim = Simulation(scene, plan.method, substeps=1, topology=stored, execution=run)
-            self._sims[plan.method] = sim
+        sim = self._sim(plan.method, scene)
         sim.solver.update({k: v for k, v in plan.solver.items() if k in sim.claims.settings})
         sim.begin_from(plan.start, window.dt, plan.substeps[0])
         x, self._springs = [sim.positions()], [sim.drawn_springs()]
@@ -363,6 +436,15 @@ class Judge:
                 x.append(sim.positions()[:count])
                 self._springs.append(sim.drawn_springs())
         return _samples(np.array(x))
+
+    def _sim(self, method: str, scene: Scene) -> Simulation:
+        """The simulation that runs by a method; it is compiled for the first scene."""
+        if method not in self._sims:
+            stored, run = conditions.best_for(scene, self._threads)
+            self._sims[method] = Simulation(
+                scene, method, substeps=1, topology=stored, execution=run
+            )
+        return self._sims[method]
 
 
 def _least(window: Window) -> int:
@@ -383,16 +465,19 @@ def _agreement(
     before: errors.Samples,
     free: np.ndarray,
     within: float,
+    floor: float,
 ) -> tuple[int, bool]:
     """For how many samples two references differ by at most a third of the error, or by round-off;
     and whether over all of them by so little that no finer one is needed.
 
-    within: the error, in parts of the motion, that is to be told, too.
+    within: the error, in parts of the motion, that is to be told, too. floor: one below which none
+    is to be.
     """
     apart, error = (
         _trajectory(errors.rms_by_frame(other, finer, free)) for other in (before, shown)
     )
     scale = errors.displacement(finer, free) or 1.0
+    error = np.maximum(error, floor * scale)
     rounding, told = reference.ENOUGH * scale, min(error[-1], within * scale)
     good = np.flatnonzero((apart <= THIRD * error) | (apart <= rounding))
     sure = int(good[-1]) + 1 if len(good) else 0

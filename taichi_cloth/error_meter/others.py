@@ -47,8 +47,9 @@ def results(
     """(method, substeps, error) of each try: finer until one is within, coarser while it is.
 
     All are tried at equal cost first. Those that are within go on with half as many substeps, and
-    again half. Where none is, all go on at twice the cost, so the first one within is the cheapest;
-    the first trial, of the window's own method, goes on once more than that.
+    again half. Where none is, all go on at twice the cost, so the first one within is the cheapest.
+    Those that are not go on once more than that, as one of a higher order may be worth more in a
+    harder window; so does the first trial, of the window's own method.
     error: of a method with so many substeps, in parts of the motion; rounding: as of `Trial`.
     """
     going, last = list(trials), False
@@ -70,4 +71,5 @@ def results(
         if last or trials[0] in [trial for trial, _ in within]:
             return
         if within:
-            going, last = [trials[0]], True
+            met = [trial for trial, _ in within]
+            going, last = [trial for trial in trials if trial not in met], True

@@ -32,8 +32,9 @@ ENDS = frozenset(
 # same way again.
 LEAVES = frozenset(("reset", "load_scene", "load_as"))
 
-# In the folder that meter and judge share: a window, its ghost, and what the judge is doing.
-WINDOW, GHOST, STAGE = "window.pickle", "ghost.npz", "stage.txt"
+# In the folder that meter and judge share: a window, its ghost, what the judge is doing; and the
+# scene that is surveyed.
+WINDOW, GHOST, STAGE, SCENE = "window.pickle", "ghost.npz", "stage.txt", "scene.pickle"
 
 
 @dataclass

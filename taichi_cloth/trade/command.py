@@ -100,8 +100,6 @@ def measured(
     try:
         with progress(shown=not quiet) as study.tell:
             (result,) = study.run()
-        if how.clock.limited and not result.interrupted:
-            result.left_out += settings.unplanned(scene, options, set(chosen))
         if study.lost and not quiet:
             print(said_of_lost(study.lost), file=sys.stderr, flush=True)
         yield result
