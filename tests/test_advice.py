@@ -349,7 +349,7 @@ class MadeUpStudies:
         monkeypatch.setattr(tune.command, "measured", self.measured)
         monkeypatch.setattr(tune.rows, "rows_of", self.rows_of)
         monkeypatch.setattr(tune, "Judges", lambda journal, floor, within: self)
-        self.spent, self.windows = 30.0, 10
+        self.spent, self.windows, self.compiled = 30.0, 10, 0.0
 
     def __enter__(self):
         return self

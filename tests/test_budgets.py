@@ -1,6 +1,7 @@
 """Budgets: what is chosen for a frame's time and for an error, from what was measured alone."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from taichi_cloth.budgets.choice import RUNGS, Limits
 from taichi_cloth.budgets.drawing import Drawing
 from taichi_cloth.budgets.frames import Frame, FrameTimes
 from taichi_cloth.budgets.goal import read
-from taichi_cloth.budgets.keeper import LOOK, OFTEN, Keeper
+from taichi_cloth.budgets.keeper import FOLDS, LOOK, OFTEN, Keeper
 from taichi_cloth.budgets.methods import Rival, Rivals
 from taichi_cloth.budgets.seconds import Second, SecondErrors
 from taichi_cloth.budgets.solver import PATIENCE, SolverErrors
@@ -190,15 +191,44 @@ def test_finer_steps_decide_also_where_the_next_ones_are_no_help():
     assert 128 < choice.substeps < 192 and choice.met
     assert errors.would_be(errors.sure[0], 192) == pytest.approx(1e-3)
     assert errors.would_be(errors.sure[0], 96) == pytest.approx(0.03)
-    # Where small disturbances grow, others may be worse; the more seconds showed it, the less so.
-    found = []
-    for count in (1, 4, 10):
-        errors = SecondErrors(0.01, 4)
-        for _ in range(count):
-            errors.note(Second(24, 0.05, tries=tries, growth=5e4), torn=False)
-        found.append(errors.choose(24, Limits()).substeps)
-    assert found[0] > found[1] > found[2] > choice.substeps
+    # Where small disturbances grow, others may be worse: of fourth order by 1000 so 5.6 times as
+    # many, and of first order as many as are spared at most.
+    for order, times in ((4, 5.6), (1, seconds.MOST_SPARED)):
+        errors = SecondErrors(0.01, order)
+        errors.note(Second(24, 0.05, tries=tries, growth=5e4), torn=False)
+        assert errors.spare() == [pytest.approx(times, rel=0.01)]
+        assert errors.needed == pytest.approx(times * errors.needs(errors.sure[0]), rel=0.01)
     assert "as small disturbances grow" in errors.choose(24, Limits()).why
+
+
+def test_where_disturbances_grow_a_run_gets_no_coarser_than_its_start_before_more_was_seen():
+    errors, limits = SecondErrors(0.01, 4), Limits(least=3)
+    for _ in range(seconds.RECENT - 1):
+        errors.note(Second(24, 1e-5, growth=1e4), torn=False)
+        assert errors.wanted(limits) == 3 * seconds.FIRST and errors.restless
+    errors.note(Second(24, 1e-5, growth=1e4), torn=False)
+    assert errors.wanted(limits) == errors.needed < 24
+    calm = SecondErrors(0.01, 4)
+    calm.note(Second(24, 1e-5, growth=10.0), torn=False)
+    assert not calm.restless and calm.wanted(limits) == calm.needed < 24
+
+
+def test_what_swings_far_undamped_is_taken_for_what_folds_soon():
+    """At first: a chain that is let go swings calmly, and then whips."""
+    scene = library.build("chain", particles=8)
+    keeper = object.__new__(Keeper)
+    keeper._sim, keeper._verdicts = SimpleNamespace(scene=scene), 0
+    extent = float(np.linalg.norm(np.ptp(scene.particles.position, axis=0)))
+    far = Verdict(0, 60, error=1e-3, scale=0.5 * extent, growth=0.0, judged=60)
+    assert keeper._growth(far) == FOLDS
+    assert keeper._growth(replace(far, scale=0.1 * extent)) == 1.0
+    assert keeper._growth(replace(far, growth=0.25)) == pytest.approx(np.exp(15.0))
+    keeper._verdicts = seconds.RECENT
+    assert keeper._growth(far) == 1.0
+    keeper._verdicts, damped = 0, np.full(8, 0.1)
+    particles = replace(scene.particles, viscous=damped)
+    keeper._sim = SimpleNamespace(scene=replace(scene, particles=particles))
+    assert keeper._growth(far) == 1.0
 
 
 def test_a_small_growth_is_worth_no_more_substeps():
@@ -441,7 +471,8 @@ def test_a_method_that_misses_the_error_is_left_after_one_second():
     found = rivals.better(own, 24, Limits(least=2), [VERLET, RK4])
     assert found.method == "rk4" and found.substeps in (10, 12)
     assert found.why == "symplectic_euler would take more than 96"
-    assert rivals.said([VERLET]).endswith("verlet would take more than 48")
+    # Those that are not within go on once more than the cheapest.
+    assert rivals.said([VERLET]).endswith("verlet would take more than 96")
 
 
 def test_a_higher_order_is_worth_more_where_worse_seconds_are_to_come():

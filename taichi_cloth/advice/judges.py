@@ -16,6 +16,7 @@ import numpy as np
 
 from taichi_cloth import runtime
 from taichi_cloth.advice.choice import TimeOver
+from taichi_cloth.console import Tell, tell_nobody
 from taichi_cloth.error_meter.meter import JUDGE, PATIENCE
 from taichi_cloth.error_meter.others import Trial
 from taichi_cloth.error_meter.verdict import Verdict
@@ -63,12 +64,14 @@ class _Judge:
         except WorkerFailed as failure:
             return Verdict(window.first, window.frames, trouble=str(failure))
 
-    def survey(self, scene: Scene, **given: Any) -> dict[str, Any]:
+    def survey(self, scene: Scene, clock: Clock, patience: float, **given: Any) -> dict[str, Any]:
         """The next second of a scene's survey (`error_meter.judge.Judge.survey`)."""
         folder = Path(self._folder.name)
         worker = self._running()
         (folder / SCENE).write_bytes(pickle.dumps(scene))
-        asked = {"folder": str(folder), **given}
+        left = clock.left()
+        asked = {"folder": str(folder), "patience": min(patience, max(left, 1.0)), "limit": left}
+        asked |= given
         result: dict[str, Any] = worker.ask(of="judge", do="survey", **{"with": asked})["result"]
         return result
 
@@ -98,7 +101,7 @@ class Judges:
     journal: has the verdicts that are known, and gets them. floor: an error, in parts of a second's
     motion, below which nobody asks how small it is: that takes no finer reference. within: the time
     of the whole sweep, which bounds what one second may take. spent, windows: seconds that it took
-    so far, and how many windows were judged in them.
+    so far, and how many windows were judged in them. compiled: that a method took to compile.
     """
 
     def __init__(self, journal: Journal, floor: float = 0.0, within: float = math.inf):
@@ -107,8 +110,8 @@ class Judges:
         self._pool = ThreadPoolExecutor(count)
         self._journal, self._floor = journal, floor
         self._hashes: dict[int, tuple[Scene, str]] = {}
-        self._waiting = min(WAITING, max(PATIENCE, WAITS * within))
-        self.spent, self.windows = 0.0, 0
+        self._within, self._waiting = within, min(WAITING, max(PATIENCE, WAITS * within))
+        self.spent, self.windows, self.compiled = 0.0, 0, 0.0
 
     def __enter__(self) -> Judges:
         return self
@@ -130,11 +133,12 @@ class Judges:
         *,
         error: float,
         relative: bool,
+        tell: Tell = tell_nobody,
     ) -> list[dict[str, Any]]:
         """What each of some seconds of a scene asks for, up to the clock's end: in one process.
 
         trials: of a second, after what was found in those before. error, relative: as `within` and
-        `relative` of `Judge.survey`.
+        `relative` of `Judge.survey`. Fewer seconds where time ends, or the process.
         """
         asked = dt, list(seconds), [asdict(trial) for trial in trials([])], error, relative
         key = key_of("survey", self._hash(scene), *asked)
@@ -142,21 +146,30 @@ class Judges:
         if entry is not None:
             return list(entry.result)
         found: list[dict[str, Any]] = []
-        patience = PATIENCE
+        patience, judge = PATIENCE, self._judges[0]
         for second in range(max(seconds) + 1):
             if clock.left() < 0:
                 return found
-            given: dict[str, Any] = {"dt": dt, "within": error, "relative": relative}
-            of = trials(found) if second in seconds else ()
-            given |= {"trials": [asdict(trial) for trial in of]}
-            result = self._judges[0].survey(scene, patience=min(patience, clock.left()), **given)
-            if result["slow"] and patience < WAITING:
-                patience = WAITING
-                result = self._judges[0].survey(scene, patience=clock.left(), **given)
+            tell(f"survey of second {second + 1}", second, max(seconds) + 1)
+            of = [asdict(trial) for trial in (trials(found) if second in seconds else ())]
+            given: dict[str, Any] = {"dt": dt, "within": error, "relative": relative, "trials": of}
+            try:
+                result = judge.survey(scene, clock, patience, **given)
+                if result["slow"] and patience < WAITING:
+                    patience = WAITING
+                    result = judge.survey(scene, clock, patience, **given)
+            except WorkerFailed:
+                return found
+            self.compiled = float(result["compiled"])
+            if self.compiled > WAITS * self._within:  # another process would have to, too
+                for other in self._judges[1:]:
+                    other.close()
+                self._judges = [judge]
             if second in seconds:
                 found.append(result)
             if result["slow"]:
                 return found
+        tell("the survey is done", 1, 1)
         self._journal.add(key, found)
         return found
 

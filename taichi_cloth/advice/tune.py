@@ -176,6 +176,8 @@ class _Tuning:
         part = RUNS if clock.left() > (1 - RUNS) * clock.seconds else CHOICE
         runs = replace(self.how, clock=clock.part(part))
         with self._measured(self.options, self.scene, chosen, runs) as result:
+            if self.judges.compiled and clock.limited and not result.outcomes:
+                raise InputError(self._late("not one setting was finished", chosen))
             result.check_some(clock)
             if self.target.penetration is not None:
                 _refuse_untouched(result, self.target)
@@ -201,10 +203,11 @@ class _Tuning:
             left_out = plan(self.scene, self.options, set(self.chosen)) if clock.limited else []
             return [self.chosen], left_out
         seconds = survey.looked_at(max(self._frames // SECOND, 1))
-        found = self.judges.survey(
-            self.scene, self.chosen[0].dt, seconds, trials, clock.part(SURVEY),
-            error=self.target.error, relative=self.target.relative,
-        )  # fmt: skip
+        with command.progress(shown=not self.options.json) as tell:
+            found = self.judges.survey(
+                self.scene, self.chosen[0].dt, seconds, trials, clock.part(SURVEY),
+                error=self.target.error, relative=self.target.relative, tell=tell,
+            )  # fmt: skip
         made = survey.Survey.of_seconds(found)
         short = clock.limited and not self.options.methods
         count = survey.ROUNDS if made.needs else 1
@@ -262,9 +265,13 @@ class _Tuning:
         if not choice.late:
             more = f"; {counted(len(unrun), 'more setting')} should do, and could not be run"
             seen = choice.refusal().partition(": ")[2] + more
+        return self._late(seen, [] if choice.late else unrun)
+
+    def _late(self, seen: str, unrun: Sequence[Setting]) -> str:
+        """That there was no time, and the time that would do."""
         return (
             f"{self.target.describe()}: no advice within {self.how.clock.describe()}: {seen}; "
-            f"use about --within {self._needed([] if choice.late else unrun)}, or fewer --frames"
+            f"use about --within {self._needed(unrun)}, or fewer --frames"
         )
 
     def _needed(self, unrun: Sequence[Setting]) -> str:
@@ -276,10 +283,12 @@ class _Tuning:
         rates = [run.sampled_in / run.setting.substeps for run in self._runs.values() if run.ok]
         of = unrun or [setting for setting, run in self._runs.items() if run.ok]
         run = max(rates, default=0.0) * min((setting.substeps for setting in of), default=0)
-        runs = RUNS * clock.seconds + 2 * run * bool(unrun)
-        gone = clock.seconds - clock.left() if unrun else CHOICE * clock.seconds
-        choice = gone + 2 * run * bool(unrun) + ROWS * each
-        return rounded_up(max(runs / RUNS, choice / CHOICE, choice + each + CONFIRMS * run))
+        gone, more = CHOICE * clock.seconds, 0.0
+        if unrun:
+            gone, more = clock.seconds - clock.left(), 2 * run + self.judges.compiled
+        runs, choice = RUNS * clock.seconds + more, gone + more + ROWS * each
+        whole = choice + each + CONFIRMS * run + self.judges.compiled
+        return rounded_up(max(runs / RUNS * bool(unrun), choice / CHOICE, whole))
 
 
 def _refuse_untouched(result: Result, target: Target) -> None:

@@ -33,11 +33,9 @@ UNTOLD = 0.1  # of an error: what steps have made of it may be so much less than
 HELPED = 0.5  # of an error: finer steps that leave more of it were no help
 PATIENCE = 4  # seconds with as many substeps before there may be fewer
 UNSURE = 3  # seconds in a row without a sure error: then there is none to keep to
-# Where a disturbance grows by more than CALM times in a second, errors grow so, too, and by how
-# much differs from second to second: as the power VARIES of the rest, over the number of seconds
-# that were seen, and at least as SETTLED. Of chains and cloths that swing undamped and fold,
-# seconds to come were within that of those before.
-CALM, VARIES, SETTLED = 50.0, 2.0, 1.0
+# Where a disturbance grows by more than CALM times in a second, errors grow so, too, and seconds to
+# come may be worse by about the rest.
+CALM = 50.0
 MOST_SPARED = 6.0  # times as many substeps, at most, as the seconds that were seen asked for
 
 
@@ -216,10 +214,7 @@ class SecondErrors:
 
         most: how many at most.
         """
-        logs = self._grew
-        seen = sum(log >= max(logs) / 2 for log in logs) or 1
-        power = max(VARIES / seen, SETTLED)
-        return [min(math.exp(log * power / self.claimed), most) for log in logs]
+        return [min(math.exp(log / self.claimed), most) for log in self._grew]
 
     def worth(self, most: float = MOST_SPARED) -> float | None:
         """The substeps for the last seconds but few, and for worse ones, by at most so many times

@@ -122,6 +122,8 @@ class Judge:
         self._folder = Path()
         self._springs: list[np.ndarray] = []  # at each sample of the last run
         self._next: Start | None = None  # of the second that is surveyed next
+        # Seconds that a method took to compile at most; until when others may be compiled.
+        self._compiling, self._compiles_until = 0.0, math.inf
         self._measured: _Measured | None = None
 
     def measure(
@@ -169,7 +171,7 @@ class Judge:
 
     def survey(
         self, folder: str, dt: float, patience: float, within: float, relative: bool,
-        trials: Sequence[dict[str, Any]],
+        trials: Sequence[dict[str, Any]], limit: float = math.inf,
     ) -> dict[str, Any]:  # fmt: skip
         """Errors of other settings in the next second of a scene's own motion, in f64.
 
@@ -177,11 +179,14 @@ class Judge:
         coarsest reference. Each has one reference for all settings, no finer than it takes to tell
         an error of `within`: in parts of the second's motion where `relative`, else in world units.
         patience: seconds for the references, and again for the settings. trials: as of `part`, none
-        for a second that is passed over; their errors are what is wanted.
+        for a second that is passed over; their errors are what is wanted. limit: seconds; methods
+        that would be compiled later than that are left out.
         Returns `tries`, by method (substeps, error / within) of each; `trouble`, why there are
-        none; `slow`, whether that is for want of time; `resting`, whether nothing moved; `seconds`.
+        none; `slow`, whether that is for want of time; `resting`, whether nothing moved;
+        `compiled`, the seconds that a method took to compile at most; `seconds`.
         """
         self._folder, begin = Path(folder), time.perf_counter()
+        self._compiles_until = begin + limit
         found: dict[str, Any] = {"tries": {}, "trouble": "", "slow": False, "resting": False}
         try:
             found |= self._surveyed(dt, patience, within, relative, trials)
@@ -189,7 +194,8 @@ class Judge:
             found |= {"trouble": str(slow), "slow": True}
         except (SimulationFailure, InputError) as failure:
             found["trouble"] = f"the reference fails: {failure}"
-        return found | {"seconds": time.perf_counter() - begin}
+        self._compiles_until = math.inf
+        return found | {"compiled": self._compiling, "seconds": time.perf_counter() - begin}
 
     def _surveyed(
         self, dt: float, patience: float, within: float, relative: bool,
@@ -403,12 +409,16 @@ class Judge:
 
     def _compile(self, window: Window, plan: _Plan, what: str) -> None:
         """Have all kernels ready by a frame, which does not count for the patience."""
+        begin = time.perf_counter()
         if plan.method not in self._sims:
+            if begin + self._compiling > self._compiles_until:
+                raise InputError(f"there is no time to compile {plan.method}")
             self._tell(f"compiling {what}")
         before, self._until = self._until, math.inf
-        begin = time.perf_counter()
         self._run(window, replace(plan, substeps=plan.substeps[:1]))
-        self._until = before + time.perf_counter() - begin
+        took = time.perf_counter() - begin
+        self._compiling = max(self._compiling, took)
+        self._until = before + took
 
     def _whole(self, window: Window, plan: _Plan) -> errors.Samples:
         """All of a plan's frames; TooSlow where there is no time for them."""
