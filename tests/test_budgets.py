@@ -222,7 +222,7 @@ def test_what_swings_far_undamped_is_taken_for_what_folds_soon():
     far = Verdict(0, 60, error=1e-3, scale=0.5 * extent, growth=0.0, judged=60)
     assert keeper._growth(far) == FOLDS
     assert keeper._growth(replace(far, scale=0.1 * extent)) == 1.0
-    assert keeper._growth(replace(far, growth=0.25)) == pytest.approx(np.exp(15.0))
+    assert keeper._growth(replace(far, growth=0.3)) == pytest.approx(np.exp(18.0))
     keeper._verdicts = seconds.RECENT
     assert keeper._growth(far) == 1.0
     keeper._verdicts, damped = 0, np.full(8, 0.1)

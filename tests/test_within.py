@@ -254,7 +254,7 @@ def test_a_minute_has_rows_wherever_a_reference_and_a_timing_fit(compiling, tmp_
             assert f"{method}, {arch} {precision}: all of it" in named
 
 
-@pytest.mark.parametrize("words", [["trade"], ["tune", "--error", "1%"]])
+@pytest.mark.parametrize("words", [["trade"], ["tune", "--error", "1%", "--substeps", "4"]])
 def test_what_has_nothing_in_time_asks_for_more(words, tmp_path, monkeypatch, capsys):
     """`tune` said that there is no reference, and to use fewer frames, as one that has failed."""
 

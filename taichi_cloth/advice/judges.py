@@ -16,7 +16,6 @@ import numpy as np
 
 from taichi_cloth import runtime
 from taichi_cloth.advice.choice import TimeOver
-from taichi_cloth.console import Tell, tell_nobody
 from taichi_cloth.error_meter.meter import JUDGE, PATIENCE
 from taichi_cloth.error_meter.others import Trial
 from taichi_cloth.error_meter.verdict import Verdict
@@ -133,7 +132,6 @@ class Judges:
         *,
         error: float,
         relative: bool,
-        tell: Tell = tell_nobody,
     ) -> list[dict[str, Any]]:
         """What each of some seconds of a scene asks for, up to the clock's end: in one process.
 
@@ -150,7 +148,6 @@ class Judges:
         for second in range(max(seconds) + 1):
             if clock.left() < 0:
                 return found
-            tell(f"survey of second {second + 1}", second, max(seconds) + 1)
             of = [asdict(trial) for trial in (trials(found) if second in seconds else ())]
             given: dict[str, Any] = {"dt": dt, "within": error, "relative": relative, "trials": of}
             try:
@@ -169,7 +166,6 @@ class Judges:
                 found.append(result)
             if result["slow"]:
                 return found
-        tell("the survey is done", 1, 1)
         self._journal.add(key, found)
         return found
 

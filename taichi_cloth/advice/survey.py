@@ -19,7 +19,7 @@ from taichi_cloth.trade.settings import Setting
 
 MOST = 8  # seconds of a horizon that are looked at
 FINEST = 64  # times the fewest substeps of each method: the most that are tried
-NEAR = 1.5  # times the error that is wanted: in its own run a setting may still be within
+NEAR = 2.0  # times the error that is wanted: in its own run a setting may still be within
 DOUBLINGS = 3  # of the substeps that should do, which are run at once
 ROUNDS = 2  # of that: the second one is of far finer steps, where none of the first holds
 DEARER = 2.0  # times the forces of the cheapest: methods that are run, too
@@ -48,8 +48,10 @@ def trials(chosen: Sequence[Setting], found: Sequence[Mapping[str, Any]]) -> lis
             least[setting.method] = min(setting.substeps, least.get(setting.method, 1 << 30))
     finest = {name: FINEST * fewest for name, fewest in least.items()}
     survey = Survey.of_seconds(found)
-    if survey.needs:
-        least = {name: min(n, finest[name]) for name, (n, _) in survey.worth.items()}
+    for name in survey.needs:
+        fewest = least.pop(name)
+        if name in survey.worth:
+            least[name] = max(fewest, min(survey.worth[name][0], finest[name]))
     cost = min((_forces(name, fewest) for name, fewest in least.items()), default=0)
     order = sorted(least, key=lambda name: _forces(name, least[name]))
     return [Trial(name, cost / _forces(name, 1), least[name], finest[name]) for name in order]
@@ -107,7 +109,8 @@ class Survey:
         """The needs of methods that may be the cheapest: of all where none was enough."""
         least, found = self.forces, {}
         for name, (n, met) in self.needs.items():
-            if least is None or _forces(name, n) <= (DEARER if met else 1) * least:
+            forces = _forces(name, n)
+            if least is None or (forces <= DEARER * least if met else forces < least):
                 found[name] = n, met
         if self.uneven >= UNEVEN:
             best = max(self.needs, key=lambda name: methods.load(name).claims.order)

@@ -57,6 +57,7 @@ ROWS = 2  # settings that are judged whole, about, until one meets the target
 CONFIRMS = 4  # times a run: twice as many frames, which are timed, too
 CHOICE = 0.8  # the same with judging them, before the choice is confirmed
 BATCH = 3  # times as many as were tried before are confirmed beside each other
+FAR = 1.5  # times what is wanted: an error that is expected to be so is not confirmed
 UNTRIED = "the confirmation of"  # how the line begins that says that there was no time for some
 MOST_TOLD = 8  # of those that did not hold
 TIME_UNITS = {"us": 1e-6, "µs": 1e-6, "ms": 1e-3, "s": 1.0}
@@ -203,11 +204,10 @@ class _Tuning:
             left_out = plan(self.scene, self.options, set(self.chosen)) if clock.limited else []
             return [self.chosen], left_out
         seconds = survey.looked_at(max(self._frames // SECOND, 1))
-        with command.progress(shown=not self.options.json) as tell:
-            found = self.judges.survey(
-                self.scene, self.chosen[0].dt, seconds, trials, clock.part(SURVEY),
-                error=self.target.error, relative=self.target.relative, tell=tell,
-            )  # fmt: skip
+        found = self.judges.survey(
+            self.scene, self.chosen[0].dt, seconds, trials, clock.part(SURVEY),
+            error=self.target.error, relative=self.target.relative,
+        )  # fmt: skip
         made = survey.Survey.of_seconds(found)
         short = clock.limited and not self.options.methods
         count = survey.ROUNDS if made.needs else 1
@@ -313,10 +313,12 @@ def confirm(
     or while there is time for as many as were tried last.
 
     measure_again: the same rows there, one after the other. Each call compiles anew, so more and
-    more rows share one.
+    more rows share one. Passed over are those that miss it, too, if what failed is a measure of how
+    much worse these seconds are.
     """
     tried: list[Attempt] = []
-    left, took = iter(candidates), 0.0
+    left = (row for row in candidates if not (tried and _would_miss(row, tried, target)))
+    took = 0.0
     while not (tried and clock.left() < took):
         batch = list(itertools.islice(left, max(1, BATCH * len(tried))))
         if not batch:
@@ -329,6 +331,18 @@ def confirm(
                 return tried
         took = begin - clock.left() if clock.limited else 0.0
     return tried
+
+
+def _would_miss(row: Row, failed: Sequence[Attempt], target: Target) -> bool:
+    """Whether a row's errors, by as much larger as those of all that failed, miss by far."""
+    expected = row.told()[1]
+    if target.error is None or not target.relative or expected is None:
+        return False
+    known = [(one.row.told()[1], one.confirming.told()[1]) for one in failed]
+    return all(
+        bool(here and there) and expected * (there or 0.0) > FAR * target.error * (here or 1.0)
+        for here, there in known
+    )
 
 
 def _show(scene: str, target: Target, tried: Sequence[Attempt], left_out: Sequence[str]) -> None:

@@ -41,7 +41,7 @@ UNMEASURED = 64  # times as many as the fewest at most, until a second is: they 
 LONGEST = 0.1  # seconds of a frame: no error is worth slower ones
 # Times as large as a small disturbance gets in a second of what swings far and folds undamped. It
 # swings calmly at first, which says nothing of the seconds to come: so for the first RECENT ones.
-FOLDS, FAR = 1e5, 0.2  # and what is far, in parts of the scene's extent
+FOLDS, FAR = 1e6, 0.2  # and what is far, in parts of the scene's extent
 
 
 class Keeper:

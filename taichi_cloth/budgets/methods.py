@@ -191,19 +191,18 @@ class Rivals:
         self, rival: Rival, errors: SecondErrors, own: SecondErrors, now: int, limits: Limits
     ) -> tuple[float, Found] | None:
         """How many times as cheap a method meets the error, and with how many substeps."""
-        needed, theirs = own.needed, errors.needed
-        if needed is None or theirs is None or not all(map(errors.met, errors.sure)):
+        needed, worth = own.needed, errors.worth(math.inf)
+        if needed is None or worth is None or not all(map(errors.met, errors.sure)):
             return None
-        there = rival.limits.at_least(errors.wanted(rival.limits))
+        # Where worse seconds are to come, a higher order is worth more than substeps can say.
+        there = rival.limits.at_least(max(errors.wanted(rival.limits), worth))
         if there is None:
             return None
         tried = max((s.finest[0] for s in own.sure if not own.met(s)), default=0)
         # With twice as many as were tried in vain it might do, and no sooner.
         here = max(limits.at_least(needed) or needed, 2 * tried)
         why = f"{self.present} would take " + (f"more than {tried}" if tried else f"{here:.0f}")
-        # Where worse seconds are to come, a higher order is worth more than substeps can say.
-        mine, other = own.worth(math.inf) or 1.0, errors.worth(math.inf) or 1.0
-        gain = max(here, mine) / (rival.cost * max(there, other))
+        gain = max(here, own.worth(math.inf) or 1.0) / (rival.cost * there)
         return gain, Found(rival.name, there, why, errors)
 
     def _by_time(
