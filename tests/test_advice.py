@@ -594,7 +594,7 @@ def test_a_survey_leaves_few_settings_and_among_them_the_cheapest_that_meets_all
 
 def test_a_later_second_is_tried_from_what_those_before_asked_for():
     chosen = [Setting(name, 0.1, n) for name in ORDERS for n in (4, 8, 16)]
-    first = {"tries": {"verlet": [(4, 9.0), (8, 4.0), (16, 0.9)], "rk4": [(4, 2.0)]}}
+    first = {"tries": {"verlet": [(4, 9.0), (8, 4.0), (16, 0.9)], "rk4": [(4, 3.0)]}}
     first["tries"]["symplectic_euler"] = [(4, 9.0), (8, 9.0), (16, 9.0)]
     trials = survey.trials(chosen, [first | {"resting": False}])
     # 16 evaluations are enough by verlet: symplectic Euler takes more than 16 and rk4 than 16.
@@ -615,7 +615,7 @@ def test_methods_that_solve_equations_run_where_they_may_be_as_cheap():
     def after(error):
         return surveyed(chosen, range(2), lambda name, n, k: error / n)
 
-    made = after(16.0)
+    made = after(32.0)
     assert made.needs["verlet"][0] == 16
     kept = made.narrowed(chosen, short=False)
     assert [s.substeps for s in kept if s.method == "verlet"] == [16, 32, 64]
@@ -630,11 +630,30 @@ def test_seconds_of_a_long_horizon_are_surveyed_here_and_there():
     assert survey.looked_at(20) == [0, 3, 5, 8, 11, 14, 16, 19]
 
 
+def test_a_setting_is_not_confirmed_where_it_would_miss_as_those_before(monkeypatch, capsys):
+    """Later seconds were ten times as wrong: what was wrong by half of the wanted misses, too."""
+    errors = {n: 0.005 for n in range(1, 7)} | {7: 0.0009, 8: 0.0009}
+    studies = MadeUpStudies(monkeypatch, errors, {n: 10 * e for n, e in errors.items()})
+    assert main(["tune", "oscillator", *TUNED, "--error", "1%"]) == 0
+    assert studies.confirmed == [[1], [7, 8]] and "verlet, 7 substeps" in capsys.readouterr().out
+
+
+def test_finer_steps_follow_where_none_of_a_survey_holds(monkeypatch, capsys):
+    """A chain that is calm in the seconds that are chosen by, and whips in those that confirm."""
+    errors = {8 << k: 0.001 for k in range(6)}
+    studies = MadeUpStudies(monkeypatch, errors, {n: 0.02 if n < 64 else 0.005 for n in errors})
+    found = [{"tries": {"verlet": [[8, 0.7]]}, "resting": False}]
+    studies.survey = lambda *given, **more: found
+    asked = ["tune", "oscillator", "--methods", "verlet", "--precisions", "f64", "--error", "1%"]
+    assert main(asked) == 0
+    assert {8, 64} <= set(sum(studies.confirmed, [])) and "64 substeps" in capsys.readouterr().out
+
+
 def test_tune_runs_what_a_survey_says(monkeypatch, capsys):
     errors = {n: 0.009 / n for n in (8, 16, 32)}
     studies = MadeUpStudies(monkeypatch, errors, errors)
     studies.survey = lambda *given, **more: [
-        {"tries": {"verlet": [[4, 2.0], [8, 0.7]]}, "resting": False}
+        {"tries": {"verlet": [[4, 3.0], [8, 0.7]]}, "resting": False}
     ]
     asked = ["tune", "oscillator", "--methods", "verlet", "--error", "1%", "--within", "3min"]
     assert main(asked) == 0
