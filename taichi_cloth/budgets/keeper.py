@@ -30,7 +30,6 @@ from taichi_cloth.simulation.prediction import predict
 if TYPE_CHECKING:
     from taichi_cloth.error_meter.others import Trial
     from taichi_cloth.error_meter.verdict import Verdict
-    from taichi_cloth.scene.model import Scene
     from taichi_cloth.simulation.simulation import Simulation
 
 LOOK = 15  # frames between looks at what is broken
@@ -274,9 +273,11 @@ class Keeper:
         seen = math.exp((verdict.growth or 0.0) * verdict.judged)
         scene = self._sim.scene
         extent = float(np.linalg.norm(np.ptp(scene.particles.position, axis=0)))
+        drag, dashpots = scene.particles.viscous > 0, scene.springs.damping > 0
+        damped = drag.any() or dashpots.any() or "air" in scene.world.more
         far = verdict.known and verdict.scale > FAR * extent
         early = self._verdicts < RECENT
-        return max(seen, FOLDS) if early and far and not _loses_energy(scene) else seen
+        return max(seen, FOLDS) if early and far and not damped else seen
 
     def _best(self) -> int | None:
         """The most substeps that are of use, as measured; it stays where it differs by little."""
@@ -309,12 +310,6 @@ class Keeper:
             if fits < most:
                 most, why = fits, f"frames would take more than {1e3 * LONGEST:g} ms to simulate"
         return Limits(least, max(most, least), why)
-
-
-def _loses_energy(scene: Scene) -> bool:
-    """Whether anything damps the scene: drag, dashpots or air."""
-    damped = (scene.particles.viscous > 0).any() or (scene.springs.damping > 0).any()
-    return bool(damped) or "air" in scene.world.more
 
 
 class StableSteps:
