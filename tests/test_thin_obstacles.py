@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from selection import thorough
 
 from taichi_cloth.cli import run_notes
 from taichi_cloth.kernels import mesh_thickness
@@ -16,6 +17,7 @@ from taichi_cloth.scene.cloth import grid_triangles
 from taichi_cloth.scene.model import Particles, Scene, Springs, World
 from taichi_cloth.scene.obstacles import Obstacle, fault
 from taichi_cloth.scene.solids import solids
+from taichi_cloth.scene.stencils import mesh_stencils
 from taichi_cloth.simulation.simulation import Simulation
 
 SIDE = 0.05
@@ -70,6 +72,52 @@ def test_a_face_does_not_pass_what_is_thinner_than_it_moves_in_a_step(device, sh
             counted = sim.unsettled_faces() > 0
             assert min(over) > 0.9 * half or (way > 1.0 and counted), (part, way, over)
             assert not counted or way > 1.0
+
+
+def hung(kind, radius):
+    """A scene of 9 particles in a row, or such rows as a mesh, that fall over a rod."""
+    at = np.arange(9) * 0.03125 - 0.1365
+    keys = {"dt": 1 / 60, "up": "y", "contact": "resting"}
+    if kind == "chain in a plane":
+        x = np.column_stack([10.0 + at, np.full(9, 20.05)])
+        springs = Springs.build([[n, n + 1] for n in range(8)], x, stiffness=2000.0)
+        rod = Obstacle.build("sphere", centre=[10.0, 20.0], radius=radius)
+        world = World((20.0, 40.0), (0.0, -9.81), **keys)
+        chain = Particles.build(x, mass=0.01, radius=0.0)
+        return Scene("chain", world, chain, springs, obstacles=(rod,))
+    across, along = np.meshgrid(at, at)
+    x = np.column_stack([10.0 + across.ravel(), np.full(81, 20.05), along.ravel()])
+    faces = grid_triangles(9, 9)
+    ends = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    rod = Obstacle.build("capsule", ends=[[10.0, 20.0, -1.0], [10.0, 20.0, 1.0]], radius=radius)
+    return Scene(
+        "sheet",
+        World((20.0, 40.0, 20.0), (0.0, -9.81, 0.0), **keys),
+        Particles.build(x, mass=2e-4, radius=0.0),
+        Springs.build(ends, x, stiffness=20.0, damping=2e-3),
+        triangles=faces,
+        stencils=mesh_stencils(x, faces, 1e-4),
+        obstacles=(rod,),
+    )
+
+
+@thorough
+@pytest.mark.parametrize("kind", ["chain in a plane", "mesh"])
+def test_what_hangs_over_a_rod_of_a_thousandth_of_a_spacing_stays_there(device, kind):
+    """The angle of each row around the rod would fall by a whole turn if it went through."""
+    scene = hung(kind, 1.6e-5)
+    for substeps in (8, 16, 64, 256):
+        sim = Simulation(scene, substeps=substeps, topology="graph", execution="serial")
+        before = None
+        for _ in range(24):
+            sim.advance()
+            away = (sim.positions()[:, :2] - [10.0, 20.0]).reshape(-1, 9, 2)
+            angle = np.arctan2(away[..., 1], away[..., 0])
+            turn = np.abs(((np.diff(angle, axis=1) + np.pi) % (2 * np.pi) - np.pi).sum(axis=1))
+            passed = before is not None and np.abs(turn - before).max() > np.pi
+            assert not passed or sim.unsettled_faces() > 0, (substeps, sim.frame)
+            before = turn
+        assert turn.min() > np.pi, "it hangs down on both sides"
 
 
 def table(top, turn=0.0, foot=0.06, end=-0.4):
