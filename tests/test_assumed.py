@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
 from taichi_cloth.cli import run_options
 from taichi_cloth.errors import InputError
@@ -425,3 +426,17 @@ def test_masses_of_meshes_have_changed_and_those_of_grids_have_not(name, touched
             scene, particles=replace(scene.particles, mass=0 * scene.particles.mass + 1)
         )
     rules.refuse_changed(scene, {"model": 1}, "x")
+
+
+@pytest.mark.parametrize(("high", "cell", "touched"), [(1, None, 0), (0.04, None, 1), (1, 0.02, 0)])
+def test_grids_of_meshes_that_are_thin_have_changed(high, cell, touched):
+    box = trimesh.creation.box((1, high, 1))
+    body = f'[[obstacles]]\nshape = "mesh"\nvertices = {box.vertices.tolist()}\n'
+    body += f"faces = {box.faces.tolist()}\n" + (f"cell = {cell}\n" if cell else "")
+    drop = "[particle]\nradius = 0.1\nrestitution = 0.0\n[[particles]]\nposition = [0, 1, 0]\n"
+    scene = parsed(METRES + drop + body)
+    if touched:
+        with pytest.raises(InputError, match="the grid of obstacles that are meshes has changed"):
+            rules.refuse_changed(scene, {"model": 1, "dt": 1 / 60}, "x")
+    else:
+        rules.refuse_changed(scene, {"model": 1, "dt": 1 / 60}, "x")

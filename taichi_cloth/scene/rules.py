@@ -67,6 +67,17 @@ def _meets_faces(scene: Scene) -> bool:
     return spatial and bool(met_by_faces(scene, solids(scene)))
 
 
+def _has_finer_bodies(scene: Scene) -> bool:
+    """Whether a mesh is an obstacle that gives no `cell`, and its cells are not a 32nd of it."""
+    for obstacle, solid in zip(scene.obstacles, solids(scene), strict=False):
+        x, faces = solid.placed.vertices, solid.placed.faces
+        if x is None or faces is None or obstacle.value("cell") is not None:
+            continue
+        if not np.isclose(solid.placed.cell, np.ptp(x[np.unique(faces)], axis=0).max() / 32):
+            return True
+    return False
+
+
 # Whoever changes a rule adds it here, and raises MODEL once a release has the one before.
 CHANGES = (
     Change(
@@ -88,6 +99,7 @@ CHANGES = (
     Change(2, "how the vertices of a mesh share its mass", _weighed_by_angles),
     Change(2, "the bending of meshes", lambda scene: "bending" in scene.of_meshes),
     Change(2, "the place where a face touches what is sharp", _meets_faces),
+    Change(2, "the grid of obstacles that are meshes", _has_finer_bodies),
 )
 
 
