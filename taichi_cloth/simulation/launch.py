@@ -70,7 +70,9 @@ class Launcher:
         self._kind: str | None = None  # what is compiled, until its first frames are done
         self._chosen: dict[tuple[Specialization, Capacity], bool] = {}  # `_hurries`
         self._prepared = PreparedLaunches()
-        self._again: PreparedLaunch | None = None  # of frames, by which the last ones were launched
+        # By what the last frames were launched, and what comes before a method's first step.
+        self._again: PreparedLaunch | None = None
+        self._begun: tuple[Specialization, Specialization, PreparedLaunch] | None = None
         self._method = method
         self._step = phases.stepping(method.phases) if method.phases else method.step
 
@@ -176,8 +178,15 @@ class Launcher:
         begin = self._method.begin
         if begin and self.device.arch == "cpu":
             Transfer(state).put(state.step, done)
+            if self._begun is not None:
+                of, on, again = self._begun
+                if of is spec and again.repeats_with(state, begin, on):
+                    again.launch()
+                    return
             on = _for_one_pass(self.specialize(spec, "parallel", state.packs), state)
             self._once(begin, on, state, soon=True)
+            last = self._prepared.last(kernels_of(state).once)
+            self._begun = None if last is None else (spec, on, last)
         elif begin:
             self._launch(stepping.begin_launch, begin, _by_steps(spec), state, done)
 
@@ -194,7 +203,7 @@ class Launcher:
         self, spec: Specialization, state: Any, done: int, frames: int, substeps: int
     ) -> int:
         """Advance frames, after `done` steps, and return how many passed the watchdog."""
-        if self._again is not None and self._again.repeats_with(spec, state):
+        if self._again is not None and self._again.repeats_with(state, self._step, spec):
             again: int = self._again.launch(done, frames, substeps)
             return again
         passed = self._advance(spec, state, done, frames, substeps)
