@@ -326,6 +326,7 @@ def test_the_part_tells_who_is_cheapest_at_each_level(monkeypatch, tmp_path):
         at = f"a little cloth: {100 * level:g} %"
         here = {row.contestant.partition(":")[0]: row for row in timed if row.size == at}
         assert {"ours", "SciPy, BDF", "SciPy, BDF, again"} <= set(here)
+        assert here["SciPy, BDF, again"].contestant.startswith("SciPy, BDF, again: tolerance ")
         assert all(row.error <= level and row.rounds == 2 for row in here.values())
         (ratio,) = [row for row in rows if row.is_ratio and row.size == at]
         peers = [row.seconds for name, row in here.items() if name != "ours"]

@@ -306,7 +306,7 @@ def _row(problem: Problem, truth: Truth, level: float, one: _Best) -> Measuremen
     low, middle, high = quartiles(one.seconds)
     kind = one.entrant.kind
     way = f", {kind.way}" * bool(kind.way)
-    member = kind.name.removeprefix(kind.group).removeprefix(", ").removesuffix(way)
+    member = kind.name.removesuffix(way).removeprefix(kind.group).removeprefix(", ")
     setting = ", ".join(filter(None, [member, one.tried.choice.describe()]))
     return Measurement(
         part=PART,
