@@ -200,13 +200,11 @@ def _is_mesh(path: Path, text: bytes, count: int, faces: np.ndarray) -> bool:
         return np.asarray(np.unique(np.sort(triangles, axis=1), axis=0))
 
     # Programs drop a file's vertices without a face, but for those that ours name by lines.
-    for vertices, triangles in (
-        (len(surface.vertices), surface.triangles),
-        (len(surface.vertices) + len(surface.left_out), surface.number[surface.triangles]),
-    ):
-        if vertices == count and np.array_equal(rows(triangles), rows(faces)):
-            return True
-    return False
+    wanted, kept = rows(faces), len(surface.vertices)
+    if kept == count:
+        return np.array_equal(rows(surface.triangles), wanted)
+    all_of_them = kept + len(surface.left_out) == count
+    return all_of_them and np.array_equal(rows(surface.number[surface.triangles]), wanted)
 
 
 def open_export(path: Path, clock: Clock) -> Writer:

@@ -129,13 +129,19 @@ def usual_reach(surface: Surface) -> np.ndarray:
 
 def _borders(surface: Surface) -> tuple[np.ndarray, np.ndarray]:
     """The edges with one triangle, (b, 2) as it goes round them, and that triangle, (b,)."""
-    t = surface.triangles
-    edges = np.stack([t, np.roll(t, -1, axis=1)], axis=-1).reshape(-1, 2)
-    low, high = edges.min(axis=1), edges.max(axis=1)
-    key = low * len(surface.vertices) + high
-    _, first, count = np.unique(key, return_index=True, return_counts=True)
+    edges, first, count = _edges(surface.triangles, len(surface.vertices))
     alone = np.sort(first[count == 1])
     return edges[alone], alone // 3
+
+
+def _edges(triangles: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The sides of triangles (m, 3) between n vertices as they go round, (3 m, 2); of each edge, by
+    its vertices, the first of these that is one, (e,); and how many there are, (e,).
+    """
+    sides = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1).reshape(-1, 2)
+    key = sides.min(axis=1) * n + sides.max(axis=1)
+    _, first, count = np.unique(key, return_index=True, return_counts=True)
+    return sides, first, count
 
 
 def welded(path: Path, surface: Surface, weld: float, scale: float = 1.0) -> Welded:
@@ -244,11 +250,10 @@ def _check_faces(surface: Surface, one: np.ndarray, weld: float, scale: float) -
 
 def _check_edges(triangles: np.ndarray, number: np.ndarray, weld: float) -> None:
     """That no edge of triangles (m, 3) has more than two of them; number: the vertices' own."""
-    edges = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1), axis=-1)
-    found, count = np.unique(edges.reshape(-1, 2), axis=0, return_counts=True)
-    many = found[count > 2]
+    sides, first, count = _edges(triangles, len(number))
+    many = first[count > 2]
     if len(many):
-        a, b = number[many[0]]
+        a, b = number[np.sort(sides[many[0]])]
         at = "at the edge" if len(many) == 1 else f"at {len(many)} edges, the first"
         raise InputError(
             f"weld {weld:g} joins three faces or more {at} of vertices {a} and {b}, and an edge "
