@@ -210,7 +210,7 @@ def bits(precision, method, collisions, threads, contact=None, **settings):
 ROD = {"ends": [[4.0, 0.95, 0.013], [6.0, 0.95, 0.017]], "radius": 0.006, "friction": 0.6}
 
 
-def loose_sheet(*obstacles, speed=0.0, break_force=None, **world):
+def loose_sheet(*obstacles, speed=0.0, break_force=None, viscous=1e-3, **world):
     """A loose cloth of cells of 50 mm that falls, or flies down, onto what is in its way."""
     cloth, ties = grid(
         [4.8, 1.0, -0.2],
@@ -220,7 +220,7 @@ def loose_sheet(*obstacles, speed=0.0, break_force=None, **world):
         links=["structural", "shear"],
         across=[1, 0, 0],
         down=[0, 0, 1],
-        particle_defaults=ParticleDefaults(mass=0.001, radius=0.002, viscous=1e-3),
+        particle_defaults=ParticleDefaults(mass=0.001, radius=0.002, viscous=viscous),
         spring_defaults=SpringDefaults(stiffness=20.0, damping=0.005, break_force=break_force),
     )
     cloth.velocity[:, 1] = -speed

@@ -407,7 +407,7 @@ def test_a_garment_in_millimetres_runs_once_it_is_scaled(cli, tmp_path):
 @pytest.mark.parametrize("name", ["flag", "curtain", "twist"])
 def test_places_where_faces_touch_what_is_sharp_have_changed(name):
     scene = replace(library.build(name), assumed={})
-    with pytest.raises(InputError, match="the place where a face touches what is sharp has chang"):
+    with pytest.raises(InputError, match="how faces and edges touch what is sharp has chang"):
         rules.refuse_changed(scene, {"model": 1}, "x")
     rules.refuse_changed(scene, rules.NOTED, "x")
     rules.refuse_changed(replace(scene, obstacles=()), {"model": 1}, "x")

@@ -691,9 +691,10 @@ def test_a_cloth_that_begins_through_a_box_is_not_thrown(device, capsys):
     """Faces whose corners are pushed to several sides stay through it, by which no energy comes."""
     sim = None
     # Of a plate thinner than half a side no face can be a quarter of a side inside; of the last
-    # one, which is between particles, none of these is.
-    for half, x in ((0.12, 5.01), (0.0005, 5.0), (0.0005, 5.01)):
-        box = Obstacle.build("box", centre=[x, 1.0, 0.02], half=[half, 0.16, 0.14])
+    # one, which is between particles, none of these is. No face is as near to two sides of the box.
+    off = [5.011, 0.997, 0.023]
+    for half, centre in ((0.12, off), (0.0005, [5.0, 1.0, 0.02]), (0.0005, [5.01, 1.0, 0.02])):
+        box = Obstacle.build("box", centre=centre, half=[half, 0.16, 0.14])
         scene = loose_sheet(box, gravity=(0.0, 0.0, 0.0))
         if sim is None:
             sim = Simulation(scene, topology="graph", execution="serial")
@@ -764,7 +765,7 @@ def test_every_step_that_ends_with_a_face_deep_in_an_obstacle_is_counted(device,
 
 def test_no_face_ends_deep_in_what_its_path_met_elsewhere(device):
     """Faces around a box, along whose steps they met another side of it: one was 6 mm inside."""
-    box = Obstacle.build("box", centre=[5.01, 1.0, 0.02], half=[0.12, 0.16, 0.14])
+    box = Obstacle.build("box", centre=[5.011, 0.997, 0.023], half=[0.12, 0.16, 0.14])
     scene = loose_sheet(box, gravity=(0.0, 0.0, 0.0), dt=1 / 480)
     through = through_from_start(scene)[: len(scene.triangles)]
     sim = Simulation(scene, topology="graph", execution="serial")

@@ -90,6 +90,9 @@ class FakeSimulation:
     def unguarded(self):
         return 0
 
+    def at_rest(self):
+        return False
+
     def advance(self, frames=1):
         self.calls.append(("advance", frames))
         self.frame += frames

@@ -2,7 +2,7 @@
 
 import taichi as ti
 
-from taichi_cloth.kernels import poses
+from taichi_cloth.kernels import poses, rest
 from taichi_cloth.kernels.collision_grid import BLOCK, MOST_BINS, MOST_KEPT, MOST_NEAR, most_cells
 from taichi_cloth.kernels.fields import Fields, Surface, placed
 from taichi_cloth.kernels.obstacles import contract
@@ -61,8 +61,10 @@ class ContactFields(Fields):
         face_sweeps, faces_unsettled (faces): a `Surface` of what is tested against sharp
         obstacles, and what comes of that (`faces.py`); face_kick: what they have changed of each
         particle's velocity in a step in which any met something, face_jump: what walls and pairs
-        had before; face_clear, face_seen, face_way, face_unseen: what need not be looked at
-        (`face_clearance.py`).
+        had before; face_free, face_push: where it was before, and how far they have moved it;
+        face_clear, face_seen, face_way, face_unseen: what need not be looked at
+        (`face_clearance.py`); rest_x, rest_v, rest_way, rest_span, rest_phase, rest_steps, stirred:
+        of what comes to rest (`rest.py`).
         obstacle_low, obstacle_nodes, obstacle_grid: of its grid of distances, where it has one.
     The account of contacts (`contact_account.py`): accounting: whether it is kept; opened_x,
         opened_v, free_x, free_v, ended_x: the step's start, free end and end; held_x, held_v: what
@@ -173,4 +175,11 @@ class ContactFields(Fields):
         self.face_seen, self.face_way = self._scalars(rows, spec.dim), self._scalars(rows)
         self.face_kick = self._pack_vectors(spec)
         self.face_jump = self._pack_vectors(spec)
+        self.face_free, self.face_push = self._pack_vectors(spec), self._pack_vectors(spec)
         self.face_unseen = self._counts()
+        if rest.needed(spec):
+            self.rest_x, self.rest_v = self._pack_vectors(spec), self._pack_vectors(spec)
+            self.rest_way, self.rest_span = self._scalars(), self._counts()
+            self.rest_phase, self.rest_steps, self.stirred = (self._counts() for _ in range(3))
+            self.number_names.append("rest_way")
+            self.count_names.append("rest_span")

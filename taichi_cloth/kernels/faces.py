@@ -20,7 +20,7 @@ the obstacle sees it. What that leads to may be deep in the obstacle elsewhere: 
 
 import taichi as ti
 
-from taichi_cloth.kernels import face_clearance, laws, obstruction
+from taichi_cloth.kernels import face_clearance, laws, obstruction, rest
 from taichi_cloth.kernels.compensated import joined, owed_at, put_at
 from taichi_cloth.kernels.contact import has_impulses
 from taichi_cloth.kernels.contact_fields import FACE_COLUMNS, FACE_CONTACTS
@@ -70,10 +70,10 @@ LEAST_HALF = 0.01  # of the longest side: what is thinner is met as if it were t
 MOST_LOOKS = 64  # along the path of a step
 
 # Columns of state.face: what was found for a triangle, then what it does to its corners.
-# OFFSET: where along the normal its point is to be; TARGET: velocity there; WEIGHT: of what
-# friction changes, in the position [time]; ROOM: radius and roundness [length]; GIVEN: the impulse
-# along the normal so far, of what bounces. Which of a triangle's rows have a contact, the bits of
-# state.face_hits say.
+# OFFSET: how far along the normal faces are to move its point in the step; TARGET: velocity there;
+# WEIGHT: of what friction changes, in the position [time]; ROOM: radius and roundness [length];
+# GIVEN: the impulse along the normal so far, of what bounces. Which of a triangle's rows have a
+# contact, the bits of state.face_hits say.
 OFFSET, TARGET, MU, WEIGHT, ROOM, GIVEN = range(6)
 SHARE, NORMAL, SURFACE_V, DX, DV = range(6, FACE_COLUMNS, 3)
 
@@ -97,7 +97,11 @@ def _begin(spec: ti.template(), state: ti.template(), t):
     if ti.static(spec.moving):
         place_obstacles(spec, state, t)
     set_alone(spec, state.face_finds, t, 0)
-    go_to(spec, state, t, FIND)
+    first = FIND
+    if ti.static(rest.needed(spec)):
+        if rest.is_at_rest(state):
+            first = DONE
+    go_to(spec, state, t, first)
 
 
 @ti.func
@@ -429,11 +433,12 @@ def _velocity(spec: ti.template(), state: ti.template(), slot):
 
 
 @ti.func
-def _position(spec: ti.template(), state: ti.template(), slot):
-    x = slot_value(spec, state.x, slot)
-    if ti.static(spec.compensated):
-        x += slot_value(spec, state.x_low, slot)
-    return x
+def _pushed(spec: ti.template(), state: ti.template(), slot):
+    """How far faces have moved a corner in the step so far, (dim,)."""
+    pushed = 0.0 * slot_value(spec, state.begun_v, slot)
+    if state.face_finds[None] > 1:
+        pushed += slot_value(spec, state.face_push, slot)
+    return pushed
 
 
 @ti.func
@@ -451,10 +456,14 @@ def _note_contact(spec: ti.template(), state: ti.template(), o, m, gap, meets, p
 
     meets: whether it came to the obstacle in this step, after `part` of it.
     """
-    p, v, begun_v, kick, mobility = 0.0 * n, 0.0 * n, 0.0 * n, 0.0 * n, 0.0 * gap
+    p, way, v, begun_v, kick, mobility = 0.0 * n, 0.0 * n, 0.0 * n, 0.0 * n, 0.0 * n, 0.0 * gap
     for k in ti.static(range(3)):
         slot = _corner(state, m, k)
-        p += share[k] * _position(spec, state, slot)
+        at = slot_value(spec, state.x, slot) - centre_of(spec, state, o, END)
+        pushed = _pushed(spec, state, slot)
+        if ti.static(spec.compensated):
+            at += slot_value(spec, state.x_low, slot)
+        p, way = p + share[k] * at, way + share[k] * pushed
         v += share[k] * _velocity(spec, state, slot)
         begun_v += share[k] * slot_value(spec, state.begun_v, slot)
         if ti.static(has_impulses(spec)):  # it came with these
@@ -462,8 +471,7 @@ def _note_contact(spec: ti.template(), state: ti.template(), o, m, gap, meets, p
         kick += share[k] * kick_of(spec, state, slot)
         mobility += slot_number(spec, state.w, slot) * share[k] * share[k]
     if mobility > 0.0:
-        r = p - centre_of(spec, state, o, END) - gap * n
-        surface_v = velocity_at(spec, state, o, r)
+        surface_v = velocity_at(spec, state, o, p - gap * n)
         dt, u = state.dt[None], (v - surface_v).dot(n)
         push, target, weight = -1.0 * gap, 0.0 * gap, ti.static(state.position_weight) * dt
         u_before = (begun_v - surface_v).dot(n)
@@ -477,7 +485,7 @@ def _note_contact(spec: ti.template(), state: ti.template(), o, m, gap, meets, p
             push += lift
         c = _now(state, m)
         state.face_hits[m] = state.face_hits[m] | (1 << (c - m * FACE_CONTACTS))
-        state.face[c, OFFSET] = n.dot(p) + push
+        state.face[c, OFFSET] = n.dot(way) + push
         state.face[c, TARGET], state.face[c, WEIGHT] = target, weight
         state.face[c, GIVEN] = 0.0
         state.face[c, MU] = state.obstacle_numbers[o, FRICTION]
@@ -500,7 +508,10 @@ def _count_of(spec: ti.template(), state: ti.template(), p):
     """Count the contacts of the particle of row p, which have not kicked it before the first."""
     if state.face_finds[None] == 1:
         slot = state.elements.row_slot[p]
-        set_slot_value(spec, state.face_kick, slot, 0.0 * slot_value(spec, state.begun_v, slot))
+        x = slot_value(spec, state.x, slot)
+        set_slot_value(spec, state.face_free, slot, x)
+        set_slot_value(spec, state.face_push, slot, 0.0 * x)
+        set_slot_value(spec, state.face_kick, slot, 0.0 * x)
         if ti.static(has_impulses(spec)):  # before it is pushed off the wall that holds it
             set_slot_value(spec, state.face_jump, slot, jump_of(spec, state, slot))
     count = 0
@@ -524,14 +535,14 @@ def _want(spec: ti.template(), state: ti.template(), c):
     if _has(state, c):
         m = c // FACE_CONTACTS
         n, surface_v = _of(spec, state, c, NORMAL), _of(spec, state, c, SURFACE_V)
-        p, v, mobility = 0.0 * n, 0.0 * n, 0.0 * state.dt[None]
+        way, v, mobility = 0.0 * n, 0.0 * n, 0.0 * state.dt[None]
         for k in ti.static(range(3)):
             slot, share = _corner(state, m, k), state.face[c, SHARE + k]
-            p += share * _position(spec, state, slot)
+            way += share * slot_value(spec, state.face_push, slot)
             v += share * _velocity(spec, state, slot)
             count = ti.cast(state.face_count[state.face_row[m, k]], state.real)
             mobility += count * slot_number(spec, state.w, slot) * share * share
-        depth, relative = state.face[c, OFFSET] - n.dot(p), v - surface_v
+        depth, relative = state.face[c, OFFSET] - n.dot(way), v - surface_v
         u = relative.dot(n)
         lost = 0.0 * u
         if depth >= -1.0 * SETTLED * state.face[c, ROOM]:  # it touches
@@ -570,7 +581,11 @@ def _give(spec: ti.template(), state: ti.template(), p):
                     dx += (w * share) * _of(spec, state, c, DX)
                     dv += (w * share) * _of(spec, state, c, DV)
         x_low, v_low = owed_at(spec, state, slot)
+        pushed = slot_value(spec, state.face_push, slot) + dx
+        set_slot_value(spec, state.face_push, slot, pushed)
         new_x, new_x_low = joined(spec, state, x, x_low, dx)
+        if ti.static(not spec.compensated):  # rounded once, however many sweeps there are
+            new_x = slot_value(spec, state.face_free, slot) + pushed
         new_v, new_v_low = joined(spec, state, v, v_low, dv)
         put_at(spec, state, slot, new_x, new_x_low, new_v, new_v_low)
         note_fault(spec, state, slot)

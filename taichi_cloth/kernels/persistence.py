@@ -57,7 +57,7 @@ WITHIN_STEP = _names(
     pushed_far pair_round touch touch_count touch_normal active n_active visited
     listed_begun pair_residual pair_iteration
     face face_hits face_left face_deep face_row face_count face_finds face_sweeps face_kick
-    face_jump
+    face_jump face_free face_push stirred
     free_ball face_clear face_seen face_way face_unseen
     opened_x opened_v free_x free_v ended_x held_x held_v contact_work accounting touched
     first_touch account_part contact_energy"""

@@ -22,6 +22,7 @@ from taichi_cloth.kernels import (
     faces,
     grips,
     obstruction,
+    rest,
     resting_pairs,
     swept_pairs,
 )
@@ -32,6 +33,7 @@ from taichi_cloth.kernels.loops import each_pack
 # obstacles settle particles, too, to see what comes of them.
 PARTS = (
     (grips.needed, grips.settle),
+    (rest.needed, rest.settle),
     (faces.needed, faces.settle),
     (lambda spec: obstruction.needed(spec) and not faces.needed(spec), obstruction.settle),
 )
@@ -56,6 +58,7 @@ def acts_of(spec, state):
     acts, pairs, after = [] if in_launches(spec) else _acts_before_pairs(spec), [], []
     if resting_pairs.needed(spec):
         pairs = resting_pairs.acts(spec)
+        after += [rest.hold] * rest.needed(spec)
     if spec.accounts_contacts:
         after.append(contact_account.close_step)
     if spec.keeps_begun:

@@ -204,7 +204,7 @@ def _check_world_types(world: World, refuse: Callable[[str, str], NoReturn]) -> 
         if isinstance(value, (str, bytes)) or not isinstance(value, Sequence):
             of = "names" if name == "walls" else "numbers"
             refuse(name, f"{name} must be a list of {of}, is {accepted.shown(value)}")
-    for name in ("collisions", "tools"):
+    for name in ("collisions", "rest", "tools"):
         if not isinstance(getattr(world, name), bool):
             has = accepted.shown(getattr(world, name))
             refuse(name, f"{name} must be True or False, is {has}")

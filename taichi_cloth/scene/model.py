@@ -75,6 +75,7 @@ class World:
     mouse: what the pointer does, out of `MOUSE_MODES`.
     ground: height, along y, of a plane that particles rest on; None: there is none.
     friction: Coulomb coefficient of the ground and of resting walls.
+    rest: whether what has come to a stop on sharp obstacles stands still (`kernels/rest.py`).
     contact: how walls and pairs of particles treat positions, out of `obstacles.CONTACTS`.
     more: values of further keys (`world_keys`), those that a scene gives.
     up: "y" where y points up; "": it points down, as in the original programs.
@@ -97,7 +98,9 @@ class World:
     up: str = ""
     tools: bool = False
     held: Hold | None = field(default=None, compare=False)
-    substeps: int | str = field(default=1, repr=False)  # digests of scenes are made of its words
+    # Digests of scenes are made of the words of the others.
+    substeps: int | str = field(default=1, repr=False)
+    rest: bool = field(default=True, repr=False)
 
     def __post_init__(self) -> None:
         _take_plain(self, [name for name in vars(self) if name != "held"])

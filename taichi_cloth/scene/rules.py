@@ -62,9 +62,8 @@ def _weighed_by_angles(scene: Scene) -> bool:
 
 
 def _meets_faces(scene: Scene) -> bool:
-    """Whether a scene in space has triangles, and what is sharp enough to pass between corners."""
-    spatial = scene.world.dim == 3 and len(scene.triangles) > 0
-    return spatial and bool(met_by_faces(scene, solids(scene)))
+    """Whether a scene has what is sharp enough to pass between particles of its cloths."""
+    return bool(met_by_faces(scene, solids(scene)))
 
 
 def _has_finer_bodies(scene: Scene) -> bool:
@@ -98,7 +97,7 @@ CHANGES = (
     ),
     Change(2, "how the vertices of a mesh share its mass", _weighed_by_angles),
     Change(2, "the bending of meshes", lambda scene: "bending" in scene.of_meshes),
-    Change(2, "the place where a face touches what is sharp", _meets_faces),
+    Change(2, "how faces and edges touch what is sharp", _meets_faces),
     Change(2, "the grid of obstacles that are meshes", _has_finer_bodies),
 )
 

@@ -153,6 +153,8 @@ def _contact_of(scene: Scene) -> dict[str, Any]:
     written |= {"obstacles"} if scene.obstacles else set()
     if world.contact != usual_contact(written):
         given["contact"] = world.contact
+    if not world.rest:
+        given["rest"] = False
     return given
 
 

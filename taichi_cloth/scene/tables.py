@@ -70,6 +70,7 @@ TABLES = {
         "ground",
         "friction",
         "contact",
+        "rest",
     ),
     "particle": tuple(PARTICLE_PROPERTIES),
     "spring": (*SPRING_PROPERTIES, "color"),
@@ -211,6 +212,7 @@ class SceneReader(TableReader):
             friction=self.value(table, path, "friction", toml.number, 0.0),
             contact=self.value(table, path, "contact", toml.text, usual_contact({*table, *tables})),
             more=self.further_keys(table, len(size)),
+            rest=self.value(table, path, "rest", toml.boolean, True),
             up=self.value(table, path, "up", toml.text, ""),
         )
 

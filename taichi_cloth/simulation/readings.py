@@ -205,6 +205,11 @@ class Readings(Part):
         since `reset`."""
         return int(self._unsettled[1]) + self.storage.unsettled_faces()
 
+    def at_rest(self) -> bool:
+        """Whether all particles stand still, as what lies on sharp obstacles does once it has all
+        but come to a stop (`kernels/rest.py`; never with `World.rest` False)."""
+        return self.storage.at_rest()
+
     def network(self) -> Network:
         """The particles where they are, and the springs that pull."""
         return self.storage.snapshot().network()

@@ -208,6 +208,7 @@ def status_rows(
     counts = (
         Word(counted(sim.particle_count, "particle"), style.INK, 4),
         Word(f"{counted(alive, 'spring')}, {broken} broken", style.INK, 4),
+        *([Word("at rest", style.INK, 4)] if sim.at_rest() else []),
     )
     settings = _settings(sim, device, windowed=state is not None)
     if budget is not None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from taichi_cloth.kernels import contact_account, readback, total_forces, watchdog
+from taichi_cloth.kernels import contact_account, readback, rest, total_forces, watchdog
 from taichi_cloth.kernels.solvers import stages
 from taichi_cloth.kernels.spring_numbers import NUMBERS, SpringNumber
 from taichi_cloth.kernels.state import ALIVE, WORK
@@ -146,6 +146,12 @@ class Download(DeviceState):
         """How many steps ended with faces inside obstacles, since the last load or
         `take_unsettled`."""
         return int(self.state.faces_unsettled[None]) if self.specialization.faces else 0
+
+    def at_rest(self) -> bool:
+        """Whether the last step put all particles back to where it began (`kernels/rest.py`)."""
+        if not rest.needed(self.specialization):
+            return False
+        return bool(self.state.rest_phase[None] != rest.MOVES)
 
     def contact_account(self) -> tuple[float, float, int | None] | None:
         """The energy that contacts gave, that with what they took, and the number of the first step

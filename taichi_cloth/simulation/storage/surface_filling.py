@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from taichi_cloth.kernels import poses
+from taichi_cloth.kernels import poses, rest
 from taichi_cloth.kernels.obstacles import contract
 from taichi_cloth.kernels.transfer import Transfer
 from taichi_cloth.scene.solids import met_by_faces
@@ -37,6 +37,11 @@ class SurfaceFilling(Filling):
         self._to.put(state.faces_unsettled, 0)
         self._of_particle(state.face_kick, np.zeros(self.snapshot.x.shape))
         self._to.put(state.face_unseen, 1)
+        if rest.needed(self.spec):
+            self._of_particle(state.rest_x, self.snapshot.x)
+            self._of_particle(state.rest_v, np.zeros(self.snapshot.x.shape))
+            self._to.put(state.rest_phase, rest.MOVES)
+            self._to.put(state.rest_steps, 0)
 
     def surface_alone(self, surface: Any, triangles: np.ndarray) -> None:
         """Triangles (m, 3) of particles, into a `kernels.fields.Surface` with fields of its own."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from taichi_cloth.kernels import clock, loops
+from taichi_cloth.kernels import clock, loops, rest
 from taichi_cloth.kernels.forces import device_fields, has_tractions
 from taichi_cloth.kernels.watchdog import NO_FAULT
 from taichi_cloth.simulation.numbers import Numbers
@@ -48,6 +48,10 @@ class Upload(SpringFilling, SurfaceFilling):
         if self.spec.thick:
             spheres = self.snapshot.scene.spheres
             radius, values["skin"] = spheres.radius, min(spheres.skin, np.finfo(self.real).max)
+        if rest.needed(self.spec):
+            values["rest_way"], values["rest_span"] = rest.way_and_span(
+                self.snapshot.scene, numbers.dt
+            )
         values |= collision_grid(world, radius, self.spec.thick)
         for name in (*self.state.count_names, *self.state.number_names):
             self._to.put(getattr(self.state, name), values[name])
