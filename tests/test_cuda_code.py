@@ -50,7 +50,7 @@ def driver(tmp_path_factory):
 
 @needs_compiler
 @pytest.mark.parametrize(
-    ("scene", "method", "precision"), mostly_thorough(PAIRS, default=PAIRS[:2])
+    ("scene", "method", "precision"), mostly_thorough(PAIRS, default=PAIRS[:1])
 )
 def test_threads_wait_at_one_place_and_no_read_misses_a_store(
     driver, tmp_path, scene, method, precision

@@ -80,6 +80,7 @@ def handled(sim):
     return np.array([np.concatenate(state).ravel()[:480] for state in states])
 
 
+@pytest.mark.thorough
 def test_what_changes_a_state_from_outside_leaves_no_clearance_behind():
     def scene():
         return loose_sheet(Obstacle.build("capsule", **ROD), mouse="blow")

@@ -11,7 +11,7 @@ import pytest
 from cloths import ROD, loose_sheet
 from face_twins import ends_of
 from gpu_twins import end
-from selection import mostly_thorough, thorough
+from selection import thorough
 
 from taichi_cloth.kernels import contact_fields
 from taichi_cloth.scene.obstacles import Obstacle
@@ -33,7 +33,8 @@ def by_steps(monkeypatch):
 SCENES = ("rod", "rod, fast", "rod that tears", "corner", "plate, fast", "rope")
 
 
-@pytest.mark.parametrize("name", mostly_thorough(SCENES, default=["rod, fast"]))
+@thorough
+@pytest.mark.parametrize("name", SCENES)
 def test_faces_settle_to_the_same_bits(name, request):
     expected, _ = ends_of(name)
     request.getfixturevalue("by_steps")

@@ -5,6 +5,7 @@ from dataclasses import replace
 import inside
 import numpy as np
 import pytest
+from selection import as_thorough
 
 from taichi_cloth.benchmarks.cloths import sheet
 from taichi_cloth.benchmarks.equal_error.problems import NEAR, drape
@@ -110,8 +111,8 @@ def scenes():
     [
         ("dashpots", "symplectic_euler"),
         ("torn", "verlet"),
-        ("breaking", "symplectic_euler"),
-        ("thrown", "rk4"),
+        as_thorough(("breaking", "symplectic_euler")),
+        as_thorough(("thrown", "rk4")),
         ("caught", "verlet"),
     ],
 )

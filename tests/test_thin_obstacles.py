@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from selection import thorough
+from selection import as_thorough, thorough
 
 from taichi_cloth.cli import run_notes
 from taichi_cloth.kernels import mesh_thickness
@@ -136,7 +136,7 @@ def table(top, turn=0.0, foot=0.06, end=-0.4):
     return {"vertices": vertices @ turned([turn, 0.3 * turn, 2.0 * turn], 3).T, "faces": faces}
 
 
-@pytest.mark.parametrize("turn", [0.0, 17.0])
+@pytest.mark.parametrize("turn", [0.0, as_thorough(17.0)])
 def test_cells_of_a_mesh_are_as_small_as_its_thinnest_part_asks(turn):
     """The zero of the field is then within a tenth of the thickness, and its middle inside."""
     top = 0.026  # less than the 32nd of a side that cells are without a reason

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import small
 import taichi as ti
+from selection import as_thorough
 
 from taichi_cloth.kernels import readback
 from taichi_cloth.kernels.memory import shape_of
@@ -24,15 +25,14 @@ STORED = [
     ("cloth", "verlet", "graph"),
     ("cloth", "xpbd", "graph"),
     ("cloth", "vbd", "graph"),
-    ("curtain", "xpbd", "lanes"),
     ("flag", "implicit_euler", "graph"),
-    ("pull", "verlet", "graph"),
+    as_thorough(("curtain", "xpbd", "lanes")),
+    as_thorough(("pull", "verlet", "graph")),
 ]
 
 
-@pytest.fixture(params=STORED, ids=lambda of: "-".join(of))
-def sim(device, request, monkeypatch):
-    scene, method, topology = request.param
+@pytest.fixture
+def sim(device, scene, method, topology, monkeypatch):
     monkeypatch.setattr(layouts, "WORTH_SORTING", 0)  # rows are packed however few there are
     monkeypatch.setattr(layouts, "WORTH_PACKING", 0)
     return Simulation(small.build(scene), method, topology=topology)
@@ -54,6 +54,10 @@ def by_kernel():
     return Transfer(SimpleNamespace(memory=None, batches={}))
 
 
+ON_EACH = pytest.mark.parametrize(("scene", "method", "topology"), STORED)
+
+
+@ON_EACH
 def test_the_memory_of_each_field_is_its_own(sim):
     """What a kernel writes to all fields stands in the memory of each, and the other way round."""
     state, rng = inside.state_of(sim), np.random.default_rng(0)
@@ -69,6 +73,7 @@ def test_the_memory_of_each_field_is_its_own(sim):
     assert state.x.to_numpy().ravel().tolist() == list(range(x.size))
 
 
+@ON_EACH
 def test_a_load_is_the_same_by_a_kernel(sim):
     """Whatever stood there before: all rows that are in use are filled."""
     state, storage = inside.state_of(sim), sim.storage
@@ -89,6 +94,7 @@ def test_a_load_is_the_same_by_a_kernel(sim):
         np.testing.assert_array_equal(clean[name][touched], filled[name][touched], name)
 
 
+@ON_EACH
 def test_the_host_reads_what_kernels_do(sim, monkeypatch):
     """Positions and velocities, however they are stored, and which springs are whole."""
     sim.advance()

@@ -119,6 +119,7 @@ def check_inverse(sim, scene, p, within=2e-5):
     return moves.sum()
 
 
+@pytest.mark.thorough
 def test_blocks_are_as_many_as_the_root_of_particles_asks_for(few_lanes, monkeypatch):
     """In whole rows of 8, from one of them to 8."""
     monkeypatch.setattr(two_levels, "STIFF", 1.0)
