@@ -736,6 +736,14 @@ def test_where_one_disk_fills_the_other_files_are_whole(tmp_path, full, request)
     assert len(set(last)) == 1 and last[0] >= 1
 
 
+def test_where_two_disks_are_full_both_are_told(tmp_path):
+    written = tmp_path / "a.checkpoint.npz"
+    words = ["--save", "/dev/full", "--record", "/dev/full", "--checkpoint", written]
+    _, error = command("run", "oscillator", *ON_GRAPH, "--frames", 5, "--headless", *words, check=2)
+    assert error.count("No space left") == error.count("\n") == 2
+    assert Checkpoint.load(written).frame == 5
+
+
 def test_a_file_whose_folder_is_removed_is_not_said_to_be_in_it(tmp_path):
     folder = tmp_path / "gone"
     folder.mkdir()

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import platform
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy
@@ -112,27 +113,37 @@ def kept(
     second = beside.scene if beside else None
 
     def finish() -> None:
-        with contextlib.ExitStack() as files:  # each is tried, also where a disk is full
-            if recorder:
-                files.callback(recorder.close)
-            if ending and not ending.file.closed:
-                from taichi_cloth.simulation import saved
+        refused: list[InputError] = []
+        for write in writing():  # each is tried, also where a disk is full
+            try:
+                write()
+            except InputError as error:
+                refused.append(error)
+        for other in refused[1:]:
+            run_notes.say(str(other))
+        if refused:
+            raise refused[0]
 
-                now, about = sim.checkpoint(), {"arguments": source.flags()}
-                files.callback(saved.into, ending, vars(now), about)
-            if written.beside.export:
-                files.callback(written.beside.export.save)
-            if written.beside.trajectory and beside and second:
-                about_second = _meta(source, second, beside, device)
-                files.callback(written.beside.trajectory.save, about_second)
-            if recordings.export:
-                files.callback(recordings.export.save)
-            if recordings.trajectory:
-                files.callback(recordings.trajectory.save, _meta(source, began, sim, device))
-            if isinstance(failure, SimulationFailure):
-                recordings.record(sim, last=True)
-                if beside:
-                    written.beside.record(beside, last=True)
+    def writing() -> Iterator[Callable[[], object]]:
+        if isinstance(failure, SimulationFailure):
+            yield partial(recordings.record, sim, last=True)
+            if beside:
+                yield partial(written.beside.record, beside, last=True)
+        if recordings.trajectory:
+            yield partial(recordings.trajectory.save, _meta(source, began, sim, device))
+        if recordings.export:
+            yield recordings.export.save
+        if written.beside.trajectory and beside and second:
+            yield partial(written.beside.trajectory.save, _meta(source, second, beside, device))
+        if written.beside.export:
+            yield written.beside.export.save
+        if ending and not ending.file.closed:
+            from taichi_cloth.simulation import saved
+
+            about = {"arguments": source.flags()}
+            yield partial(saved.into, ending, vars(sim.checkpoint()), about)
+        if recorder:
+            yield recorder.close
 
     try:
         with rescue.saving(finish):
@@ -146,9 +157,9 @@ def kept(
     try:
         finish()
     except InputError as error:
-        if not isinstance(failure, RunFailure):
+        if failure is None or isinstance(failure, KeyboardInterrupt):
             raise
-        run_notes.say(str(error))  # how the run failed is what to end with
+        run_notes.say(str(error))  # what ended the run is what to end with
     if failure:
         raise failure
 
