@@ -64,7 +64,6 @@ def sheet_on_a_rod(method, topology, execution):
 @pytest.mark.parametrize(
     ("name", "method", "arch"),
     [
-        ("pull", "verlet", "vulkan"),
         *(("stack", "implicit_euler", arch) for arch in ("vulkan", "opengl")),
         ("trampoline", "vbd", "opengl"),
     ],
