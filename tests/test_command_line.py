@@ -696,6 +696,11 @@ def test_a_full_disk_ends_in_one_line_and_spoils_no_other_file(tmp_path, full):
     assert left == set(names.values()) - {names[full]}
 
 
+needs_full_device = pytest.mark.skipif(
+    not os.path.exists("/dev/full"), reason="there is no /dev/full here"
+)
+
+
 def full_disk(tmp_path, request):
     """A folder on a disk that is full; where none can be made, a device that always is."""
     small = tmp_path / "small"
@@ -736,6 +741,7 @@ def test_where_one_disk_fills_the_other_files_are_whole(tmp_path, full, request)
     assert len(set(last)) == 1 and last[0] >= 1
 
 
+@needs_full_device
 def test_where_two_disks_are_full_both_are_told(tmp_path):
     written = tmp_path / "a.checkpoint.npz"
     words = ["--save", "/dev/full", "--record", "/dev/full", "--checkpoint", written]
@@ -824,7 +830,7 @@ def test_a_current_folder_that_was_removed_is_named(tmp_path):
     assert done.returncode == 3 and "error: the current folder, which was removed" in done.stderr
 
 
-@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no /dev/full here")
+@needs_full_device
 def test_an_error_that_cannot_be_told_has_its_status():
     """Python tries once more at exit what it has not written, and ended with 120 then."""
     buffered = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}

@@ -148,7 +148,7 @@ PLACED = {"along": [0.0, 0.0, 0.0], "tilted": [8.0, 20.0, 5.0]}
 
 
 def ways_of_the_last_seconds(precision, turn, method, substeps):
-    """How far a sheet over a corner moves in the last 5 of 20 s. For a process of its own."""
+    """The most that a sheet over a corner moves in the last 5 of 20 s. For its own process."""
     runtime.start("cpu", precision, threads=1)
     sim = Simulation(parse(CORNER.format(turn=turn), "corner"), method=method, substeps=substeps)
     sim.advance(15 * 60)

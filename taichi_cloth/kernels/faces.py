@@ -434,7 +434,7 @@ def _velocity(spec: ti.template(), state: ti.template(), slot):
 
 @ti.func
 def _pushed(spec: ti.template(), state: ti.template(), slot):
-    """How far faces have moved a corner in the step so far, (dim,)."""
+    """The way that faces have moved a corner in the step so far, (dim,)."""
     pushed = 0.0 * slot_value(spec, state.begun_v, slot)
     if state.face_finds[None] > 1:
         pushed += slot_value(spec, state.face_push, slot)
@@ -583,9 +583,9 @@ def _give(spec: ti.template(), state: ti.template(), p):
         x_low, v_low = owed_at(spec, state, slot)
         pushed = slot_value(spec, state.face_push, slot) + dx
         set_slot_value(spec, state.face_push, slot, pushed)
-        new_x, new_x_low = joined(spec, state, x, x_low, dx)
         if ti.static(not spec.compensated):  # rounded once, however many sweeps there are
-            new_x = slot_value(spec, state.face_free, slot) + pushed
+            x, dx = slot_value(spec, state.face_free, slot), pushed
+        new_x, new_x_low = joined(spec, state, x, x_low, dx)
         new_v, new_v_low = joined(spec, state, v, v_low, dv)
         put_at(spec, state, slot, new_x, new_x_low, new_v, new_v_low)
         note_fault(spec, state, slot)

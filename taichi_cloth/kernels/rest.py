@@ -14,6 +14,7 @@ loaded anew, as all that a program or a user changes in a scene is, ends a rest,
 import numpy as np
 import taichi as ti
 
+from taichi_cloth.kernels.compensated import put_at
 from taichi_cloth.kernels.copies import keep
 from taichi_cloth.kernels.loops import barrier, each, each_pack, each_pack_moving
 from taichi_cloth.kernels.packs import set_slot_value, slot_number, slot_value
@@ -28,12 +29,12 @@ MOVES, STOPS, NOTES, RESTS = range(4)
 
 
 def needed(spec):
-    """Whether a specialization knows rest: of faces on obstacles that do not move."""
+    """Tell if a specialization knows rest: of faces on obstacles that do not move."""
     return bool(spec.obstacles) and spec.faces and not spec.moving
 
 
 def way_and_span(scene, dt):
-    """How far a particle at rest moves at most, and in how many steps of dt."""
+    """The most that a particle at rest moves [length], and in how many steps of dt."""
     a, b = (scene.particles.position[scene.elements[:, k]] for k in (0, 1))
     side, g = np.linalg.norm(b - a, axis=1).mean(), np.linalg.norm(scene.world.gravity)
     steps = SPAN * np.sqrt(side / g) / dt if scene.world.rest and g > 0.0 else NEVER
@@ -58,7 +59,7 @@ def hold(spec: ti.template(), state: ti.template(), t):
 
 @ti.func
 def is_at_rest(state: ti.template()):
-    """Whether the step ends where it began."""
+    """Tell if the step ends where it began."""
     return state.rest_phase[None] != MOVES
 
 
@@ -80,7 +81,7 @@ def _look(spec: ti.template(), state: ti.template(), i):
 
 @ti.func
 def _differs(spec: ti.template(), a: ti.template(), b: ti.template(), slot):
-    """Whether two fields of vectors differ at a slot."""
+    """Tell if two fields of vectors differ at a slot."""
     d, differs = slot_value(spec, a, slot) - slot_value(spec, b, slot), False
     for axis in ti.static(range(spec.dim)):
         if d[axis] != 0.0:
@@ -121,9 +122,7 @@ def _put_back(spec: ti.template(), state: ti.template(), i):
         for slot in range(i * spec.lanes, (i + 1) * spec.lanes):
             if slot_number(spec, state.w, slot) > 0.0:
                 begun = slot_value(spec, state.begun_x, slot)
-                set_slot_value(spec, state.x, slot, begun)
-                set_slot_value(spec, state.v, slot, 0.0 * begun)
+                still, low = 0.0 * begun, 0.0 * begun
                 if ti.static(spec.compensated):
                     low = slot_value(spec, state.begun_x_low, slot)
-                    set_slot_value(spec, state.x_low, slot, low)
-                    set_slot_value(spec, state.v_low, slot, 0.0 * begun)
+                put_at(spec, state, slot, begun, low, still, still)

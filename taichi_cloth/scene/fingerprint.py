@@ -18,7 +18,8 @@ def scene_hash(scene: Scene) -> str:
     if scene.features().obstacles:
         given = world.up, world.ground, world.friction, world.contact
         digest.update(repr((given, scene.obstacles)).encode())
-        digest.update(b"" if world.rest else b"no rest")
+        if not world.rest:
+            digest.update(b"no rest")
     if world.more:
         digest.update(repr(sorted(world.more.items())).encode())
         digest.update(np.ascontiguousarray(scene.triangles).tobytes())

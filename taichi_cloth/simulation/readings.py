@@ -206,7 +206,7 @@ class Readings(Part):
         return int(self._unsettled[1]) + self.storage.unsettled_faces()
 
     def at_rest(self) -> bool:
-        """Whether all particles stand still, as what lies on sharp obstacles does once it has all
+        """Tell if all particles stand still, as what lies on sharp obstacles does once it has all
         but come to a stop (`kernels/rest.py`; never with `World.rest` False)."""
         return self.storage.at_rest()
 

@@ -148,7 +148,7 @@ class Download(DeviceState):
         return int(self.state.faces_unsettled[None]) if self.specialization.faces else 0
 
     def at_rest(self) -> bool:
-        """Whether the last step put all particles back to where it began (`kernels/rest.py`)."""
+        """Tell if the last step put all particles back to where it began (`kernels/rest.py`)."""
         if not rest.needed(self.specialization):
             return False
         return bool(self.state.rest_phase[None] != rest.MOVES)
