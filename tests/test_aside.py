@@ -259,9 +259,9 @@ def test_short_runs_and_windows_begin_with_what_compiles_soon(monkeypatch):
 @pytest.mark.parametrize(
     ("scene", "method"),
     [
-        *(("flag", "symplectic_euler"), ("flag", "implicit_euler"), ("trampoline", "rk4")),
-        *(("curtain", "xpbd"), ("drape", "verlet"), ("twist", "vbd"), ("box", "tr_bdf2")),
-        *(("shirt", "symplectic_euler"), ("cloth", "verlet")),
+        *(("flag", "implicit_euler"), ("trampoline", "rk4")),
+        *(("curtain", "xpbd"), ("drape", "verlet"), ("trampoline", "vbd"), ("box", "tr_bdf2")),
+        ("cloth", "verlet"),
     ],
 )
 def test_both_have_the_same_bits(own_caches, scene, method):

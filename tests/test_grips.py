@@ -8,7 +8,6 @@ import pytest
 from selection import mostly_thorough, thorough
 
 from taichi_cloth.errors import InputError
-from taichi_cloth.kernels import methods
 from taichi_cloth.post_mortem.trace import traced
 from taichi_cloth.scene import scenefile
 from taichi_cloth.scene.checks import validate
@@ -20,7 +19,7 @@ from taichi_cloth.simulation.checkpoint import Checkpoint
 from taichi_cloth.simulation.past import Past
 from taichi_cloth.simulation.simulation import Simulation
 
-WAYS = [f"{topology} {path}" for topology in ("lanes", "graph") for path in ("serial", "parallel")]
+WAYS = ["graph serial", "graph parallel", "lanes serial"]
 ALONG = np.array([0.3, -0.2, 0.1])
 BAR = {"ends": [[0.9, 2.0, -0.5], [0.9, 2.0, 0.5]], "radius": 0.02, "grip": 0.1}
 
@@ -51,7 +50,7 @@ def pulled(**bar):
 
 
 @thorough
-@pytest.mark.parametrize("method", methods.METHODS)
+@pytest.mark.parametrize("method", ["symplectic_euler", "verlet", "xpbd", "vbd", "tr_bdf2"])
 def test_a_cloth_that_goes_with_its_bar_is_at_rest_for_it(pool, method):
     scene = pulled(velocity=ALONG)
     moving = np.tile(ALONG, (12, 1))

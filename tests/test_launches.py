@@ -30,7 +30,7 @@ def by_steps(monkeypatch):
     monkeypatch.setattr(contact_fields, "pairs_act_at_once", lambda: True)
 
 
-SCENES = ("rod", "rod, fast", "rod that tears", "corner", "plate, fast", "rope")
+SCENES = ("rod that tears", "corner", "plate, fast", "rope")
 
 
 @thorough
@@ -42,13 +42,10 @@ def test_faces_settle_to_the_same_bits(name, request):
 
 
 @thorough
-@pytest.mark.parametrize(
-    ("method", "execution"), [("implicit_euler", "parallel"), ("tr_bdf2", "serial")]
-)
-def test_faces_settle_beside_solvers_in_lanes(method, execution, few_lanes):
+def test_faces_settle_beside_solvers_in_lanes(few_lanes):
     """Whose steps are several launches on a CPU, too."""
-    expected = sheet_on_a_rod(method, "graph", "serial")
-    found = sheet_on_a_rod(method, "lanes", execution)
+    expected = sheet_on_a_rod("implicit_euler", "graph", "serial")
+    found = sheet_on_a_rod("implicit_euler", "lanes", "parallel")
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7)
 
 

@@ -188,9 +188,8 @@ def test_a_cloth_does_not_sink_through_a_fixed_sphere(pool, method, topology):
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("precision", ["f32", "compensated"])
-def test_resting_pairs_have_the_same_bits_for_every_thread_count(precision, cli):
-    made = {"precision": precision, "method": "symplectic_euler", "collisions": True}
+def test_resting_pairs_have_the_same_bits_for_every_thread_count(cli):
+    made = {"precision": "compensated", "method": "symplectic_euler", "collisions": True}
     found = [cli.call("cloths:bits", **made, threads=count, contact="resting") for count in (1, 2)]
     assert found[0] == found[1]
     scene = scenefile.parse(TWO_CLOTHS.replace("COLLISIONS", "true"))

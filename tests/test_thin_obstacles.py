@@ -1,13 +1,11 @@
 """Obstacles thinner than what a step moves, than a face's side, or than a grid's cells."""
 
 import re
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from selection import as_thorough, thorough
 
-from taichi_cloth.cli import run_notes
 from taichi_cloth.kernels import mesh_thickness
 from taichi_cloth.kernels.faces import LEAST_ROOM
 from taichi_cloth.kernels.mesh_thickness import sampled
@@ -186,10 +184,11 @@ def test_the_thickness_of_a_mesh_is_that_between_its_sides(inside_out):
     np.testing.assert_allclose(found.thickness[top & over_foot], 0.4, rtol=2e-2)
 
 
-def body_with_a_fin(thick):
+def body_with_a_fin(thick, **more):
     """A body of 0.5 x 1.7 x 0.3 with a fin of 60 mm below it, as thick as that [length]."""
     mesh = table(1.7, foot=thick, end=-1.76)
-    return Obstacle.build("mesh", vertices=mesh["vertices"] * [0.5, 1.0, 0.3], faces=mesh["faces"])
+    vertices = mesh["vertices"] * [0.5, 1.0, 0.3]
+    return Obstacle.build("mesh", vertices=vertices, faces=mesh["faces"], **more)
 
 
 def test_a_fin_that_a_grid_can_meet_is_met_and_not_taken_for_a_tip():
@@ -197,7 +196,7 @@ def test_a_fin_that_a_grid_can_meet_is_met_and_not_taken_for_a_tip():
     fin = body_with_a_fin(0.014)
     assert fault(fin, 3) is None
     placed = solids(falling_square(fin, 1.0, 1e-3))[0].placed
-    assert placed.gone is None and placed.nodes[..., 0].size < mesh_shape.MOST_CHOSEN
+    assert placed.nodes[..., 0].size < mesh_shape.MOST_CHOSEN
     low, high = [0.0, -1.75, -0.14], [0.0, -1.72, 0.14]
     middle = np.random.default_rng(1).uniform(low, high, (500, 3))
     for side in (-0.007, 0.007):
@@ -206,19 +205,14 @@ def test_a_fin_that_a_grid_can_meet_is_met_and_not_taken_for_a_tip():
     assert mesh_shape.twin(placed, middle)[0].max() < -0.2 * 0.014
 
 
-def test_a_small_part_too_thin_for_any_grid_is_lost_and_told_of(capsys):
-    """As the fingers of a body; it is no reason to refuse the rest."""
-    fin = body_with_a_fin(0.005)
-    assert fault(fin, 3) is None
-    found = solids(falling_square(fin, 1.0, 1e-3))
-    place, thick, share = found[0].placed.gone
-    assert thick == pytest.approx(0.005, rel=2e-2) and -1.76 <= place[1] < -1.7
-    area = 2 * 0.06 * 0.3 / (2 * (0.5 * 1.7 + 1.7 * 0.3 + 0.5 * 0.3))
-    assert 0.3 * area < share < 2 * area < 2 * mesh_thickness.MOST_LOST
-    sim = SimpleNamespace(storage=SimpleNamespace(solids=found))
-    run_notes.note_rounded(sim, SimpleNamespace(quiet=False))
-    says = capsys.readouterr().err
-    assert "warning: obstacle 0 is too thin" in says and "is 0.005 thick, at (" in says
+def test_however_small_a_part_is_that_no_grid_meets_it_is_named_and_refused():
+    """As the fingers of a body; the line says from which `least` on the rest is taken."""
+    key, says = fault(body_with_a_fin(0.005), 3)
+    thick, place = re.search(r"the mesh is ([\d.]+) thick at \((.*?)\)", says).groups()
+    assert key == "cell" and float(thick) == pytest.approx(0.005, rel=2e-2)
+    assert -1.76 <= float(place.split(",")[1]) < -1.7
+    least = float(re.search(r"least = ([\d.]+)", says)[1])
+    assert least > 0.005 and fault(body_with_a_fin(0.005, least=least), 3) is None
 
 
 def test_what_tapers_off_is_no_thin_part():

@@ -191,8 +191,8 @@ def note_wide(scene: Scene) -> None:
 
 
 def note_rounded(sim: Simulation, options: RunOptions) -> None:
-    """Say on standard error where obstacles that are meshes end in tips or edges that are lost,
-    and where parts of them are too thin for any grid.
+    """Say on standard error where obstacles that are meshes end in tips or edges that are rounded
+    off.
     """
     for solid in sim.storage.solids if not options.quiet else ():
         placed, (centre, turn) = solid.placed, solid.pose(0.0)
@@ -200,13 +200,6 @@ def note_rounded(sim: Simulation, options: RunOptions) -> None:
         def where(local: numpy.ndarray, centre: Any = centre, turn: Any = turn) -> str:
             return ", ".join(f"{number:.4g}" for number in centre + turn @ local)
 
-        if placed.gone:
-            local, thick, share = placed.gone
-            say(
-                f"warning: {solid.name} is too thin for its grid in {max(0.1, 100 * share):.1f} % "
-                f"of its surface, where cloth may go through it; the thickest such place is "
-                f"{thick:.2g} thick, at ({where(local)}); make that part an obstacle of its own"
-            )
         if placed.rounded:
             local, off = placed.rounded
             say(

@@ -20,7 +20,6 @@ SHARE = 0.1  # of its thickness, within which a grid is to meet it
 THINNEST = 0.75  # of a thickness: the widest cell that is sure to have a node well inside
 TAPERS, CLASSES = 1.25, 4.0  # see `badly_met`; of thickness, in an octave
 SLENDER = 2.0  # thicknesses within which what tapers off gets thicker: a finger does not
-MOST_LOST = 0.03  # of a mesh's area: fingers of a body are 2 %, and no table's top
 OPPOSED = 0.95  # cosine between two faces, from which on they are the two sides of something
 
 
@@ -28,13 +27,11 @@ OPPOSED = 0.95  # cosine between two faces, from which on they are the two sides
 class Samples:
     """Points (n, 3) on a mesh, the unit vectors (n, 3) that point into it there, and its thickness
     there, (n,): infinite where what lies opposite is not the other side of something thin.
-    share: of the mesh's area that each stands for, (n,).
     """
 
     points: np.ndarray
     inwards: np.ndarray
     thickness: np.ndarray
-    share: np.ndarray
 
     def among(self, which: np.ndarray) -> "Samples":
         """Those of them that are wanted, (n,) bool."""
@@ -67,8 +64,7 @@ def sampled(corners: np.ndarray) -> Samples:
         (normals * (_normals(corners) / np.maximum(area, 1e-300)[:, None])[opposite]).sum(axis=1)
     )
     first[cosine < OPPOSED] = np.inf
-    share = np.repeat([0.0, 1.0 / RANDOM], [len(mine), RANDOM])
-    return Samples(points, inwards, first, share)
+    return Samples(points, inwards, first)
 
 
 def badly_met(

@@ -71,8 +71,7 @@ class Placed:
     particles where it is smaller than the cells. bound: radius of a ball about the centre that
     holds it. low: (3,), cell, nodes: (nx, ny, nz, 4), of a grid of distances and normals, where it
     has one; vertices, faces: of what that was made from, to draw it by. rounded: a local point (3,)
-    where that tapers off and is rounded most, and by how much; None: nowhere. gone: likewise where
-    it is thickest of what is too thin for its grid, how thick, and what part of its area that is.
+    where that tapers off and is rounded most, and by how much; None: nowhere.
     """
 
     centre: np.ndarray
@@ -87,7 +86,6 @@ class Placed:
     vertices: np.ndarray | None = None
     faces: np.ndarray | None = None
     rounded: tuple[np.ndarray, float] | None = None
-    gone: tuple[np.ndarray, float, float] | None = None
 
 
 Values = Mapping[str, Any]

@@ -20,7 +20,6 @@ import numpy as np
 import taichi as ti
 
 from taichi_cloth.kernels.mesh_thickness import (
-    MOST_LOST,
     THINNEST,
     badly_met,
     expanded,
@@ -179,7 +178,6 @@ def place(values, dim, margin):
         vertices=vertices,
         faces=faces,
         rounded=fit.rounded,
-        gone=fit.gone,
     )
 
 
@@ -205,8 +203,7 @@ class Fit:
 
     quickly: whether it has more nodes than usual, none of them asked for. lost: a point (3,) of the
     mesh that it is not met at, and its thickness there; None: none. rounded: likewise where it is
-    most rounded off, as it tapers there; and by how much. gone: where it is thickest of what is
-    lost without a refusal, how thick, and what part of its area all that is; None: nothing.
+    most rounded off, as it tapers there; and by how much.
     """
 
     low: np.ndarray
@@ -215,7 +212,6 @@ class Fit:
     quickly: bool
     lost: tuple[np.ndarray, float] | None
     rounded: tuple[np.ndarray, float] | None
-    gone: tuple[np.ndarray, float, float] | None = None
 
 
 @functools.lru_cache(maxsize=4)
@@ -231,7 +227,7 @@ def _fitted(vertices, faces, cell, least):
     finest = _finest(size)
     samples, now = sampled(corners), cell or usual
     samples = samples.among(samples.thickness >= least)
-    grid, worst, gone = None, None, None
+    grid, worst = None, None
     while True:
         field = None if grid is None else functools.partial(_distances_at, grid[0], now, grid[1])
         error, lost, rounded = badly_met(samples, field, now, max(usual, cell))
@@ -241,17 +237,8 @@ def _fitted(vertices, faces, cell, least):
         quickly = now < usual and not cell
         if not lost.any():
             if grid is not None:
-                return Fit(grid[0], now, *grid[1:], quickly, None, worst, gone)
+                return Fit(grid[0], now, *grid[1:], quickly, None, worst)
             grid = _grid(corners, now, 0.0, quickly)
-            continue
-        # What no grid meets, if it is little, is lost: another look at the rest.
-        hopeless = lost & (now <= finest or THINNEST * samples.thickness < finest)
-        share = float(samples.share[hopeless].sum()) + (gone[2] if gone else 0.0)
-        if hopeless.any() and share <= MOST_LOST and not cell:
-            which = np.where(hopeless, samples.thickness, 0.0).argmax()
-            if gone is None or samples.thickness[which] > gone[1]:
-                gone = samples.points[which], float(samples.thickness[which]), share
-            gone, samples = (*gone[:2], share), samples.among(~hopeless)
             continue
         thin = samples.thickness[lost]
         if cell or now <= finest or THINNEST * np.median(thin) < finest:
