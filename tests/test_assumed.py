@@ -155,6 +155,13 @@ def test_in_metres_a_radius_follows_from_the_cloth_and_nothing_bounces(more, rad
     assert again == scene and not again.assumed.keys() - {"world.substeps"}
 
 
+def test_a_thickness_from_which_no_radius_follows_is_refused_by_its_own_line():
+    with pytest.raises(
+        InputError, match=r"line 6: \[particle\]: thickness must be a finite number"
+    ):
+        parsed(METRES + "[particle]\nthickness = inf\n" + SHEET)
+
+
 def test_what_a_file_gives_stays_and_pixels_have_the_originals_numbers():
     given = parsed(METRES + "[particle]\nradius = 0.3\nrestitution = 0.9\n" + SHEET)
     assert (given.particles.radius == 0.3).all() and (given.particles.restitution == 0.9).all()

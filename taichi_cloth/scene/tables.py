@@ -436,7 +436,7 @@ def assumed_radius(
 
     own: (n,) bool, which particles have one all the same.
     """
-    if defaults.thickness > 0:
+    if 0 < defaults.thickness < np.inf:  # else it is refused, by its own line
         radius = defaults.thickness / 2
         return radius, f"{radius:g}, half the thickness"
     ends = particles.position[springs.between]
