@@ -49,6 +49,14 @@ def fill_part(x: array):
         x[i] = 1
 
 
+@ti.kernel
+def fill_inside(x: array):
+    for _ in range(1):
+        for i in range(x.shape[0] // 2):
+            x[i] = 1
+
+
+fill_inside(np.zeros(8, np.int32))
 found = []
 for kernel in (fill_half, add_half):
     fill(np.zeros(8, np.int32))

@@ -57,6 +57,13 @@ def test_resting_cloth_in_f32_on_every_backend(arch, topology, tmp_path, cli_on)
 
 
 @thorough
+@pytest.mark.parametrize("arch", ["cpu", "vulkan", "opengl"])
+def test_particles_at_no_triangle_have_no_normal(arch, cli_on):
+    """Arrays that a kernel does not write whole come back from Vulkan with what was there."""
+    assert cli_on[arch].call("gpu_twins:bare_normals_on", arch=arch) == 0.0
+
+
+@thorough
 @pytest.mark.parametrize(
     "scene",
     [

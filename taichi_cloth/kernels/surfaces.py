@@ -337,6 +337,10 @@ def compute_normals(
             area = area_vector(in_space(spec, a), in_space(spec, b))
         for axis in ti.static(range(3)):
             surface.vector[m, axis] = area[axis]
+    # Else those at no triangle come back from Vulkan as what an earlier array left on the device.
+    for i in range(normals.shape[0]):
+        for axis in ti.static(range(3)):
+            normals[i, axis] = 0.0
     for p in range(surface.n_rows[None]):
         total = gathered(state, surface, p, False)
         largest = ti.max(ti.max(ti.abs(total[0]), ti.abs(total[1])), ti.abs(total[2]))
