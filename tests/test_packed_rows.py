@@ -112,7 +112,7 @@ def scenes():
         ("dashpots", "symplectic_euler"),
         ("torn", "verlet"),
         as_thorough(("breaking", "symplectic_euler")),
-        as_thorough(("thrown", "verlet")),
+        as_thorough(("thrown", "rk4")),
         ("caught", "verlet"),
     ],
 )
