@@ -52,7 +52,7 @@ _HOMES = {
     "Simulation": ("simulation.simulation", "Simulation"),
     "show": ("ui.showing", "show"),
     "picture": ("ui.showing", "picture"),
-    "Camera": ("ui.camera", "Camera"),
+    "Camera": ("render.camera", "Camera"),
     "camera_of": ("ui.framing", "camera_of"),
     "Summary": ("ui.summary", "Summary"),
     "Checkpoint": ("simulation.checkpoint", "Checkpoint"),

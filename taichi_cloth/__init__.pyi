@@ -7,6 +7,7 @@ from taichi_cloth.errors import RunFailure as RunFailure
 from taichi_cloth.errors import SimulationFailure as SimulationFailure
 from taichi_cloth.files import trajectory as _trajectory
 from taichi_cloth.files.trajectory import Trajectory as Trajectory
+from taichi_cloth.render.camera import Camera as Camera
 from taichi_cloth.runtime import start as start
 from taichi_cloth.scene import library as _library
 from taichi_cloth.scene import scenefile as _scenefile
@@ -28,7 +29,6 @@ from taichi_cloth.scene.stencils import mesh_stencils as mesh_stencils
 from taichi_cloth.simulation.checkpoint import Checkpoint as Checkpoint
 from taichi_cloth.simulation.simulation import Simulation as Simulation
 from taichi_cloth.ui import interaction as _interaction
-from taichi_cloth.ui.camera import Camera as Camera
 from taichi_cloth.ui.framing import camera_of as camera_of
 from taichi_cloth.ui.showing import picture as picture
 from taichi_cloth.ui.showing import show as show

@@ -17,9 +17,9 @@ from taichi_cloth import runtime
 from taichi_cloth.cli.run_meter import MeasuredErrors
 from taichi_cloth.scene import library
 from taichi_cloth.simulation.simulation import Simulation
-from taichi_cloth.ui import views
 from taichi_cloth.ui.depiction import Depiction
 from taichi_cloth.ui.framing import camera_of
+from taichi_cloth.ui.view import View
 
 FRAMES = 66  # of a block: so many that a window begins and ends in it
 WAYS = ("neither", "meter", "meter and ghost")
@@ -49,8 +49,7 @@ def main(options):
     if options.dim == 3:
         scene = library.build("warp", side=side)
     sim = Simulation(scene)
-    kind = views.load_all()[options.view]
-    view = kind.open(scene.world, (1280, 800), "", visible=False)
+    view = View(options.view, scene.world, (1280, 800))
     view.camera = camera_of(scene)
     errors = MeasuredErrors(sim, waits=False, told=False)
     errors.switch()

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 from error_windows import FACTOR, HEAD, SCENES
+from null_view import NullView
 
 from taichi_cloth import runtime
 from taichi_cloth.cli import replays
@@ -27,7 +28,6 @@ from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import CompareOptions
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.ui import app, interaction
-from taichi_cloth.ui.views.none import NullView
 
 SETTINGS = (("symplectic_euler", 1), ("implicit_midpoint", 2))
 FRAMES, FINER = 60, 64

@@ -18,11 +18,12 @@ from screens import wait_for
 from taichi_cloth.cli import doctor, run_aside, run_kernels
 from taichi_cloth.errors import InputError
 from taichi_cloth.measuring import machine
+from taichi_cloth.render import style
 from taichi_cloth.scene.library import build
 from taichi_cloth.settings.options import RunOptions
 from taichi_cloth.simulation import aside, sixteen
 from taichi_cloth.simulation.simulation import Simulation
-from taichi_cloth.ui import hud, style
+from taichi_cloth.ui import hud
 from taichi_cloth.ui.text import Word
 
 # A run as the command line makes it, of a scene that is large enough; at its end it waits until

@@ -4,12 +4,12 @@ import json
 import os
 import subprocess
 import time
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from commands import PROGRAM
 from lacking import VIEWS, needs_x
+from null_view import NullView
 from screens import virtual_screen, wait_for
 from selection import thorough
 from test_comparison import swing
@@ -27,9 +27,7 @@ from taichi_cloth.files.trajectory import Trajectory
 from taichi_cloth.scene import library
 from taichi_cloth.simulation import live
 from taichi_cloth.ui import app
-from taichi_cloth.ui.clipping import Edge, clipped
 from taichi_cloth.ui.inputs import Event
-from taichi_cloth.ui.views.none import NullView
 
 
 def pull_about(sim):
@@ -461,45 +459,6 @@ def test_the_mouse_in_either_half_acts_on_both(pair):
     apart = held.beside.room.x - view.room.x
     assert np.allclose(held.beside.picture.pointer.place - held.pointer.place, [apart, 0])
     assert not np.array_equal(held.position, held.beside.picture.position)
-
-
-def test_both_are_drawn_plain_where_frames_are_late(pair):
-    first, second = pair
-    budget = SimpleNamespace(
-        plain=True, words=("off",), chosen="off", fixed="", about="", why="",
-        status=lambda: None, before_frame=lambda give: None, after_frame=lambda *took: None,
-    )  # fmt: skip
-    twin, view = Twin(first, second, read("stiffness=0.2")), Hands(first, None)
-    try:
-        app.run(first, view, frames=2, beside=Beside(twin), budget=budget)
-    finally:
-        twin.close()
-    assert view.pictures[-1].plain and view.pictures[-1].beside.picture.plain
-
-
-def test_triangles_are_cut_where_the_other_world_begins():
-    """Both parts have the area of the whole, on their own sides, and colours change evenly."""
-    rng = np.random.default_rng(3)
-    vertex = rng.uniform(-1.0, 1.0, (300, 4))
-    vertex[:, 2] = 2 * vertex[:, 0] - vertex[:, 1]
-    index = rng.permutation(300).astype(np.int32)
-
-    def area(vertex, index):
-        a, b, c = vertex[index.reshape(-1, 3), :2].transpose(1, 0, 2)
-        (x, y), (u, v) = (b - a).T, (c - a).T
-        return 0.5 * (x * v - y * u)
-
-    total = 0.0
-    for right in (False, True):
-        edge = Edge(0.2, right=right)
-        some, corners = clipped(vertex, index, edge.beyond(vertex[:, 0]))
-        used = some[corners]
-        assert (edge.beyond(used[:, 0]) <= 1e-12).all()
-        assert np.allclose(used[:, 2], 2 * used[:, 0] - used[:, 1])
-        total += area(some, corners).sum()
-    assert total == pytest.approx(area(vertex, index).sum())
-    same, corners = clipped(vertex, index, Edge(2.0, right=False).beyond(vertex[:, 0]))
-    assert same is vertex and corners is index
 
 
 @thorough

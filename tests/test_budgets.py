@@ -8,7 +8,6 @@ import pytest
 
 from taichi_cloth.budgets import methods, seconds
 from taichi_cloth.budgets.choice import RUNGS, Limits
-from taichi_cloth.budgets.drawing import Drawing
 from taichi_cloth.budgets.frames import Frame, FrameTimes
 from taichi_cloth.budgets.goal import read
 from taichi_cloth.budgets.keeper import FOLDS, LOOK, OFTEN, Keeper
@@ -102,20 +101,6 @@ def test_a_time_budget_never_leaves_its_limits_and_says_what_is_in_the_way():
         slow = times.choose(1, Limits())
         assert slow.short == f"{says} of 16.7 ms, 100 % late"
         assert slow.why.endswith(f"drawing takes {of_it}")
-
-
-def test_pictures_are_plain_where_drawing_alone_is_late_until_there_is_time():
-    """Then the substeps, too, have the time that is left; and smooth edges stay, once they fit."""
-    times, drawing, now, looks = FrameTimes(1 / 60), Drawing(), 1, []
-    for frame in range(4800):
-        if frame % OFTEN == 0:
-            drawing.look(times, now, 1)
-            now = times.choose(now, Limits()).substeps
-            looks.append(drawing.plain)
-        smooth = 0.018 if frame < 2400 else 0.009  # as in a smaller window
-        times.note(Frame(now, 2e-4 * now, smooth - 0.005 * drawing.plain))
-    assert not looks[0] and all(looks[20:240]) and not any(looks[400:])
-    assert sum(a != b for a, b in zip(looks, looks[1:], strict=False)) == 2
 
 
 def test_a_time_budget_says_what_the_next_would_take():

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 
 import taichi_cloth as tc
 from taichi_cloth.errors import InputError
+from taichi_cloth.render.camera import Camera
+from taichi_cloth.render.window_map import WindowMap, default_window
 from taichi_cloth.scene.model import World
-from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.chrome.layout import Parts, arrange
 from taichi_cloth.ui.framing import window_of
-from taichi_cloth.ui.window_map import WindowMap, default_window
 
 GOLDEN = json.loads((Path(__file__).parent / "golden" / "projection.json").read_text())
 
@@ -224,7 +224,7 @@ def test_a_layout_covers_the_window_without_overlaps(width, height, bar, rows):
 
 def test_camera_needs_no_taichi():
     code = (
-        "import sys, taichi_cloth.ui.camera, taichi_cloth.ui.views.contract, taichi_cloth.ui.app;"
+        "import sys, taichi_cloth.render.camera, taichi_cloth.ui.view, taichi_cloth.ui.app;"
         "bad = {'taichi', 'matplotlib', 'imageio', 'scipy', 'rich', 'PIL'} & set(sys.modules);"
         "sys.exit(str(bad) if bad else 0)"
     )

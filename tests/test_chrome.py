@@ -6,18 +6,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from null_view import NullView
 
 from taichi_cloth import load_trajectory
 from taichi_cloth.cli.run_budget import HeldBudget
 from taichi_cloth.cli.run_meter import MeasuredErrors
 from taichi_cloth.kernels import methods
+from taichi_cloth.render import style
+from taichi_cloth.render.picture import Rect
 from taichi_cloth.scene import library
 from taichi_cloth.simulation.checkpoint import Checkpoint
 from taichi_cloth.simulation.running_costs import RunningCosts
-from taichi_cloth.ui import app, style, text
+from taichi_cloth.ui import app, text
 from taichi_cloth.ui.chrome import settings_rows
 from taichi_cloth.ui.chrome.chrome import Chrome
-from taichi_cloth.ui.chrome.layout import Parts, Rect, arrange
+from taichi_cloth.ui.chrome.layout import Parts, arrange
 from taichi_cloth.ui.chrome.settings_panel import SettingsPanel
 from taichi_cloth.ui.chrome.timeline_row import TimelineRow
 from taichi_cloth.ui.chrome.why import Finding, Why
@@ -25,7 +28,6 @@ from taichi_cloth.ui.controls import Controls
 from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.scenes import Scenes
 from taichi_cloth.ui.timeline import Timeline
-from taichi_cloth.ui.views.none import NullView
 
 RECT, HEIGHT = Rect(500, 20, 300, 560), 12
 

@@ -23,17 +23,16 @@ from taichi_cloth.error_meter.others import Trial
 from taichi_cloth.error_meter.verdict import Verdict
 from taichi_cloth.error_meter.window import FRAMES, GHOST, LEAST, SCENE, WINDOW, Window
 from taichi_cloth.errors import InputError
+from taichi_cloth.render import style
+from taichi_cloth.render.picture import Picture, Rect
+from taichi_cloth.render.window_map import WindowMap
 from taichi_cloth.scene import library
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.trade import errors, ode
-from taichi_cloth.ui import style
-from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.chrome.meters import Meters
 from taichi_cloth.ui.depiction import Depiction
 from taichi_cloth.ui.ghosts import Ghosts
-from taichi_cloth.ui.views.contract import Picture
-from taichi_cloth.ui.views.gui import GuiView
-from taichi_cloth.ui.window_map import WindowMap
+from taichi_cloth.ui.view import View
 
 pytestmark = pytest.mark.usefixtures("device")
 
@@ -250,7 +249,7 @@ def test_the_ghost_is_where_the_reference_is(chain):
     measured = MeasuredErrors(sim, waits=False, told=False)
     measured._meter = SimpleNamespace(ghost=ghost, refused="", close=lambda: None)
     depiction = Depiction(sim, errors=measured)
-    view = GuiView(sim.scene.world, (900, 300), "", visible=False)
+    view = View("gui", sim.scene.world, (900, 300))
 
     def pale():
         view.draw(depiction.picture())

@@ -1,21 +1,15 @@
 """Ghosts as they are drawn: where the reference is, seen through, and nothing else changed."""
 
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-import pytest
-from lacking import needs_vulkan
 from test_drawing import BLUE, RED, WORLD, camera, picture_of, sheet
 
+from taichi_cloth.render import style
+from taichi_cloth.render.picture import Picture
 from taichi_cloth.scene.model import World
-from taichi_cloth.ui import style
 from taichi_cloth.ui.ghosts import Ghosts
-from taichi_cloth.ui.views import gui
-from taichi_cloth.ui.views.contract import Picture
-from taichi_cloth.ui.views.gui import GuiView
+from taichi_cloth.ui.view import View
 
 PLANE = World((200.0, 200.0), (0.0, 0.0))
 SIZE = (320, 320)
@@ -123,28 +117,9 @@ def check_all(view):
     assert not differ(*layers, 6)[middle].any()
 
 
-@pytest.mark.parametrize("samples", [2, 1])  # one in a window whose scene takes too long with more
-def test_ghosts_are_drawn_where_they_are(device, monkeypatch, samples):
-    monkeypatch.setattr(gui, "SAMPLES", samples)
-    view = GuiView(PLANE, SIZE, "", visible=False)
+def test_ghosts_are_drawn_where_they_are(device):
+    view = View("gui", PLANE, SIZE)
     try:
         check_all(view)
     finally:
         view.close()
-
-
-@needs_vulkan
-def test_ghosts_are_drawn_where_they_are_in_ggui(tmp_path):
-    """In a process of its own, as a second GGUI window would end this one."""
-    program = """
-import sys
-sys.path.insert(0, sys.argv[1])
-from taichi_cloth import runtime
-from test_ghosts import PLANE, SIZE, check_all
-from taichi_cloth.ui.views.ggui import GguiView
-runtime.start()
-check_all(GguiView(PLANE, SIZE, "", visible=False))
-"""
-    command = [sys.executable, "-c", program, str(Path(__file__).parent)]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
-    assert done.returncode == 0, done.stdout + done.stderr

@@ -8,17 +8,19 @@ import numpy as np
 import pytest
 import small
 from inside import state_of
+from null_view import NullView
 from selection import mostly_thorough
 
 from taichi_cloth import load_events
 from taichi_cloth.errors import InputError
 from taichi_cloth.files.events import Recorder
+from taichi_cloth.render.camera import Camera
+from taichi_cloth.render.window_map import WindowMap
 from taichi_cloth.scene import library
 from taichi_cloth.scene.model import ParticleDefaults, Particles, Scene, World
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.simulation.storage.storage import Storage
 from taichi_cloth.ui import app, picking
-from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.camera_moves import CameraMoves
 from taichi_cloth.ui.controls import Controls
 from taichi_cloth.ui.depiction import Depiction
@@ -26,8 +28,6 @@ from taichi_cloth.ui.framing import camera_of_world
 from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.tools import throw
 from taichi_cloth.ui.tools.contract import Hand
-from taichi_cloth.ui.views.none import NullView
-from taichi_cloth.ui.window_map import WindowMap
 
 pytestmark = pytest.mark.usefixtures("device")
 

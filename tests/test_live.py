@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cloths import cloth
+from null_view import NullView
 from selection import mostly_thorough, thorough
 
 import taichi_cloth as tc
@@ -18,7 +19,6 @@ from taichi_cloth.simulation.running_costs import WARM, FrameCost, RunningCosts
 from taichi_cloth.simulation.setting_costs import SettingCosts
 from taichi_cloth.simulation.simulation import Simulation
 from taichi_cloth.ui import app, interaction
-from taichi_cloth.ui.views.none import NullView
 
 pytestmark = pytest.mark.usefixtures("device", "few_lanes")
 

@@ -5,19 +5,20 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from selection import mostly_thorough
 
+from taichi_cloth.render import style
+from taichi_cloth.render.picture import Rect
 from taichi_cloth.scene.library import build
 from taichi_cloth.scene.model import Particles, Scene, Springs, World
 from taichi_cloth.simulation.gauges import Gauges
 from taichi_cloth.simulation.history import History
 from taichi_cloth.simulation.strain import CLOTHS, allowed, borne, lengths, strains
-from taichi_cloth.ui import strained, style
+from taichi_cloth.ui import strained
 from taichi_cloth.ui.chrome import graphs, instruments, meters
 from taichi_cloth.ui.chrome.beside import DistanceReading
 from taichi_cloth.ui.chrome.errors import ErrorReading
 from taichi_cloth.ui.chrome.instruments import Source
-from taichi_cloth.ui.chrome.layout import Parts, Rect, arrange
+from taichi_cloth.ui.chrome.layout import Parts, arrange
 from taichi_cloth.ui.chrome.meters import Meters
 
 
@@ -45,9 +46,8 @@ def source(device):
     return Source(sim, gauges, times, 179 / 60, error, apart)
 
 
-def test_a_column_is_legible_and_cheap_at_every_size(source):
-    """No word is cut off, the first meters stay where there is little room, and rectangles are few
-    enough that a view which draws those draws them in no time."""
+def test_a_column_is_legible_at_every_size(source):
+    """No word is cut off, and the first meters stay where there is little room."""
     made = [make(source) for make in instruments.ALL]
     assert all(made)
     for size in ((800, 600), (1280, 800), (1920, 1080), (2560, 1440)):
@@ -62,7 +62,6 @@ def test_a_column_is_legible_and_cheap_at_every_size(source):
         assert all((edge == style.PAPER).all() for edge in edges)
         said = panel.words.split("\n")
         assert all(meter.title in said and meter.value in said for meter in made)
-        assert len(panel.tile.runs[0]) < 700 * height**0.8  # 3000 to 9000
     for width in (220, 480):
         for height in (12, 30):
             panel = meters.drawn(made, Rect(0, 0, width, 12 * height), height)
@@ -188,19 +187,16 @@ def test_colours_follow_springs_that_were_changed(source):
         assert np.array_equal(seen, strained.colors(borne(length, sim.storage.scene.springs)))
 
 
-@pytest.mark.parametrize("view", mostly_thorough(["ggui", "gui"], ["gui"]))
-def test_views_draw_them(device, source, view, tmp_path, monkeypatch):
+def test_views_draw_them(device, source, tmp_path, monkeypatch):
     """A picture of the run with meters has them at the right, and strain's colours in the world."""
     from PIL import Image
 
-    from taichi_cloth.ui import app, views
+    from taichi_cloth.ui import app
+    from taichi_cloth.ui.view import View
 
-    opened = views.load_all()[view]
-    if not opened.pictures():
-        pytest.skip(f"{view} draws no pictures here")
     sim = source.sim
     sim.reset()
-    shown = opened.open(sim.scene.world, (800, 600), "test", visible=False)
+    shown = View("gui", sim.scene.world, (800, 600))
     show = frozenset({"springs", "particles", "strain"})
     path = str(tmp_path / "frame.png")
     made, advance = [], sim.advance

@@ -10,7 +10,8 @@ import pytest
 from lacking import needs_vulkan
 from selection import thorough
 
-from taichi_cloth import painter
+from taichi_cloth.render import painter, rasterizer
+from taichi_cloth.render.picture import Rect
 
 SIZE = (90, 120)  # rows, columns
 WHITE, PAPER = 0xFFFFFF, 0x102030
@@ -22,9 +23,11 @@ def started(device):
 
 
 def painted(*shapes, paper=0):
-    picture = np.full(SIZE, paper, np.uint32)
-    painter.draw(picture, shapes)
-    return picture
+    h, w = SIZE
+    picture = np.full(h * w, -1, np.int32)
+    on = painter.Painter(Rect(0, 0, w, h), np.full(SIZE, paper, np.int32))
+    on.draw(picture, w, shapes)
+    return picture.reshape(SIZE)
 
 
 def covered(*shapes):
@@ -108,7 +111,7 @@ def test_a_picture_has_the_same_bits_in_tiles_of_any_size(monkeypatch):
     first = painted(*shapes)
     np.testing.assert_array_equal(painted(*shapes), first)
     for rows in (1, 7, 64):
-        monkeypatch.setattr(painter, "ROWS", rows)
+        monkeypatch.setattr(rasterizer, "ROWS", rows)
         np.testing.assert_array_equal(painted(*shapes), first)
 
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from test_windows import FakeSimulation, Recorded, Script, calls, camera_of_world, press, world
 
+from taichi_cloth.render.camera import Camera
+from taichi_cloth.render.window_map import WindowMap
 from taichi_cloth.scene.model import Obstacle, Particles, Scene, World
 from taichi_cloth.scene.solids import Drawn, solids, surface
 from taichi_cloth.ui import app, picking
-from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.controls import Controls
 from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.tools.contract import Hand
-from taichi_cloth.ui.window_map import WindowMap
 
 WINDOW = (600, 400)
 BALLS, SHEETS, GRID = 6, 3, 5  # sheets of GRID x GRID particles

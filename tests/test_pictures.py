@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from null_view import NullView
 from PIL import Image
 
 from taichi_cloth.errors import InputError
@@ -9,7 +10,6 @@ from taichi_cloth.scene import library
 from taichi_cloth.ui import app, film
 from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.shutter import Shutter
-from taichi_cloth.ui.views.none import NullView
 
 SCENE = library.build("cloth", columns=4, rows=3)
 SIZE = 320, 240

@@ -63,9 +63,8 @@ ROOMS = {
     "sweeps": {"files", "measuring", "scene", "settings"},
     "limits": {"kernels", "scene"},
     "simulation": {*BASE, "limits", "runtime"},
-    "rasterizer": {"kernels"},
-    "painter": {"kernels", "runtime"},
-    "ui": {*BASE, "console", "declarations", "painter", "rasterizer", "runtime", "simulation"}
+    "render": {"kernels", "runtime", "settings"},
+    "ui": {*BASE, "console", "declarations", "render", "runtime", "simulation", "vulkan"}
     - {"kernels"},
     "explain": {*BASE, "console", "measuring", "runtime", "simulation", "sweeps"},
     "stability": {*BASE, "console", "limits", "runtime", "simulation", "sweeps"},
@@ -77,10 +76,10 @@ ROOMS = {
     "budgets": {"console", "error_meter", "kernels", "limits", "runtime", "settings", "simulation"},
     "post_mortem": {"files", "kernels", "limits", "runtime", "scene", "settings", "simulation"},
     "benchmarks": {*BASE, "console", "measuring", "runtime", "simulation", "sweeps", "trade"}
-    | {"ui", "vulkan"},
+    | {"vulkan"},
     "cli": {*BASE, "benchmarks", "beside", "budgets", "comparison", "console", "error_meter"}
     | {"imports"}
-    | {"limits", "measuring", "post_mortem", "runtime", "simulation", "ui", "vulkan"},
+    | {"limits", "measuring", "post_mortem", "render", "runtime", "simulation", "ui", "vulkan"},
     "__main__": {"cli"},
 }
 
@@ -148,14 +147,14 @@ def test_no_files_import_each_other_in_a_circle():
     assert circles({"a": {"b"}, "b": {"c"}, "c": {"b", "d"}, "d": set()}) == ["b", "c"]
 
 
-def test_the_ui_is_imported_by_the_command_line_and_benchmarks_alone_and_late():
+def test_the_ui_is_imported_by_the_command_line_alone_and_late():
     users = {
         (room_of(path), at_top)
         for path in FILES
         for room, at_top in rooms_imported(path)
         if room == "ui" and room_of(path) != "ui" and "TYPE_CHECKING" not in path.read_text()
     }
-    assert users <= {("cli", False), ("benchmarks", False)}
+    assert users <= {("cli", False)}
 
 
 def test_a_simulation_reaches_what_draws_it_by_the_package_alone():

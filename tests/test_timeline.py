@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from null_view import NullView
 
 import taichi_cloth as tc
 from taichi_cloth.errors import InputError
@@ -25,7 +26,6 @@ from taichi_cloth.ui.depiction import Depiction
 from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.timeline import SPEEDS, Pace, Timeline
 from taichi_cloth.ui.travel import Travel
-from taichi_cloth.ui.views.none import NullView
 
 SIZE = 1000  # bytes of a checkpoint of what stands for a simulation
 

@@ -10,19 +10,19 @@ import numpy as np
 import pytest
 from commands import PROGRAM, command
 from lacking import VIEWS, needs_x
+from null_view import NullView
 from screens import virtual_screen, wait_for
 from selection import thorough
 
 from taichi_cloth import load_trajectory
 from taichi_cloth.cli import run_files, run_scenes
 from taichi_cloth.errors import InputError
+from taichi_cloth.render.window_map import Look
 from taichi_cloth.scene import assignments
 from taichi_cloth.scene.source import SceneSource
 from taichi_cloth.settings.options import RunOptions
 from taichi_cloth.ui.chrome.layout import Parts, arrange
 from taichi_cloth.ui.framing import camera_of
-from taichi_cloth.ui.views.none import NullView
-from taichi_cloth.ui.window_map import Look
 
 OWN = """name = "own"
 [world]

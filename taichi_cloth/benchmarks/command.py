@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import subprocess
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,7 +12,7 @@ from taichi_cloth import console
 from taichi_cloth.benchmarks import PARTS, contacts, module_of, report, summary
 from taichi_cloth.benchmarks.contest import Bench, Piece
 from taichi_cloth.benchmarks.equal_error import picture, problems, runs_file
-from taichi_cloth.errors import InputError
+from taichi_cloth.errors import InputError, clipped
 from taichi_cloth.files.pending import prepare_folder, write_whole
 from taichi_cloth.measuring import machine
 from taichi_cloth.settings.options import BenchOptions, flag
@@ -40,6 +41,8 @@ def main(parts: Sequence[str], options: BenchOptions) -> int:
     chosen = [part for part in PARTS if part in parts] or ([] if document else list(PARTS))
     if options.arch and "gpu" not in chosen:
         raise InputError("--arch: only the part gpu takes it")
+    if options.against is not None:
+        _check_against(options.against, chosen)
     piece = _piece(options, chosen)
     if chosen:
         prepare_folder(folder, [path.name])
@@ -65,6 +68,20 @@ def main(parts: Sequence[str], options: BenchOptions) -> int:
     if document:
         fill_document(document, folder, to.print)
     return 0
+
+
+def _check_against(python: str, chosen: Sequence[str]) -> None:
+    """Raise InputError where an earlier build's Python is none, or no part takes it."""
+    if "windows" not in chosen:
+        raise InputError("--against: only the part windows takes it")
+    try:
+        command = [python, "-c", "import taichi_cloth"]
+        found = subprocess.run(command, capture_output=True, cwd="/", timeout=60).returncode == 0
+    except (OSError, subprocess.TimeoutExpired):
+        found = False
+    if not found:
+        said = clipped(python)
+        raise InputError(f"--against {said}: is no Python that has taichi-cloth installed")
 
 
 def _piece(options: BenchOptions, chosen: Sequence[str]) -> Piece:
@@ -135,7 +152,8 @@ def _measure(
             show(f"{part}: {text}", done, total)
 
         show(part, 0, 1)
-        bench = Bench(rounds, options.quick, options.arch, tell, Path(options.output), piece)
+        to_folder = Path(options.output)
+        bench = Bench(rounds, options.quick, options.arch, tell, to_folder, piece, options.against)
         try:
             for row in module.measure(bench):
                 rows.append(row)

@@ -100,6 +100,7 @@ class Bench:
     rounds: counted rounds of each contest. quick: smaller sizes. arch: backend of the part `gpu`,
     None for all there are. tell: shown what is going on. results: the folder of the results, where
     a part keeps files of its own; None: nothing is kept. piece: of a part that takes hours.
+    against: the Python of an earlier build, beside which the part `windows` draws.
 
     scenes: of a part that is measured in pieces, which sets it: the names of all that it has, and
     whether this run has measured them, or the file of results is to keep the rows it had.
@@ -113,7 +114,9 @@ class Bench:
         tell: Tell = tell_nobody,
         results: Path | None = None,
         piece: Piece | None = None,
+        against: str | None = None,
     ):
+        self.against = against
         self.rounds, self.quick, self.arch, self.tell = rounds, quick, arch, tell
         self.results, self.piece = results, piece or Piece()
         self.scenes: dict[str, bool] = {}

@@ -1,78 +1,124 @@
-"""Windows of the seed scenes: frames a second, by view and size.
+"""Windows: what a frame takes to draw and to show, beside an earlier build's, by view and size.
 
-A window waits for its next frame, so that there are sixty a second; the wait is left out here. Each
-window is opened in a process of its own, as GGUI opens one only.
+Each window runs in a process of its own (`window_worker.py`), those of both builds in turns. Panels
+are the settings and the meters.
 """
 
 from __future__ import annotations
 
-import multiprocessing
+import json
+import os
+import subprocess
+import sys
 from collections.abc import Iterator
-from contextlib import closing
+from pathlib import Path
 from statistics import median
 
 from taichi_cloth import runtime
 from taichi_cloth.benchmarks.contest import Bench
 from taichi_cloth.benchmarks.report import Measurement
-from taichi_cloth.errors import InputError, RunFailure
+from taichi_cloth.measuring.timing import quartiles
 
 PART = "windows"
-SCENES = ("cloth", "box", "sandbox")
-VIEWS = ("ggui", "gui")
+WORKER = Path(__file__).parents[2] / "bench" / "window_worker.py"  # in a checkout
+SCENES = ("cloth", "box", "sandbox", "drape", "flag", "stack", "shirt", "net")
+FLAGS = {"net": ("--side", "512")}
+FRAMES, FEW = (
+    180,
+    72,
+)  # of a window, a sixth or so of which is counted; of one whose frames are long
+LONG = ("net",)
+VIEWS = ("gui", "ggui")
 SIZES = ((1280, 800), (1920, 1080))  # pixels
-WANTED = ">= 60"  # frames a second
-WARM, FRAMES = 60, 120  # frames before the first round, and in each
+WANTED, MORE = 0.4, 2e-3  # of the earlier build's time, or so many seconds above showing
+LONGEST = 300  # seconds that a window may take
 
 
 def measure(bench: Bench) -> Iterator[Measurement]:
-    """One row for each size, view and scene."""
-    wanted = [
-        (size, view, scene)
-        for size in (SIZES[:1] if bench.quick else SIZES)
-        for view in VIEWS
-        for scene in SCENES
-    ]
-    spawn = multiprocessing.get_context("spawn")
+    """Rows of times, by size, view, scene and panels; with an earlier build rows of ratios, too."""
+    sizes, views = (SIZES[:1], VIEWS[:1]) if bench.quick else (SIZES, VIEWS)
+    wanted = [(size, view, scene) for view in views for size in sizes for scene in SCENES]
     for done, (size, view, scene) in enumerate(wanted):
-        name, pixels = f"{scene}, {view}", f"{size[0]} x {size[1]}"
-        bench.tell(f"{name}, {pixels}", done, len(wanted))
-        with spawn.Pool(1) as process:
-            rates = process.apply(frames_a_second, (scene, view, size, bench.rounds))
-        if isinstance(rates, str):
-            bench.leave_out(PART, name, pixels, rates)
+        pixels = f"{size[0]} x {size[1]}"
+        bench.tell(f"{scene}, {view}, {pixels}", done, len(wanted))
+        lack = None if runtime.display_available() else "there is no display"
+        lack = lack if WORKER.exists() else "only a checkout has bench/window_worker.py"
+        pythons = {"now": sys.executable, **({"before": bench.against} if bench.against else {})}
+        found: dict[str, list[dict[str, dict[str, float]]]] = {name: [] for name in pythons}
+        for _ in range(max(bench.rounds // 3, 1)):
+            for name, python in pythons.items():
+                answer = lack or ask(python, scene, view, size)
+                if isinstance(answer, str):
+                    lack = answer
+                else:
+                    found[name].append(answer)
+        if lack:
+            bench.leave_out(PART, f"{scene}, {view}", pixels, lack)
             continue
-        yield Measurement(
-            part=PART,
-            contestant=name,
-            size=pixels,
-            threads=bench.threads,
-            precision="f32",
-            rate=median(rates),
-            unit="frames/s",
-            target=WANTED,
-            rounds=len(rates),
-        )
+        yield from rows(bench, scene, view, pixels, found)
 
 
-def frames_a_second(scene: str, view: str, size: tuple[int, int], rounds: int) -> list[float] | str:
-    """How many frames a window could show a second, in each of some rounds; or why it cannot open.
+def rows(
+    bench: Bench,
+    scene: str,
+    view: str,
+    pixels: str,
+    found: dict[str, list[dict[str, dict[str, float]]]],
+) -> Iterator[Measurement]:
+    """The rows of one window; found: by build what its runs said (`window_worker.py`)."""
+    for panels in ("closed", "open"):
+        name, usual = f"{scene}, {view}, panels {panels}", {}
+        for build, runs in found.items():
+            times = [run[panels]["draw"] / 1e3 for run in runs]
+            usual[build] = median(times)
+            show = median(run[panels]["show"] for run in runs)
+            quarters = quartiles(times)
+            yield Measurement(
+                part=PART,
+                contestant=name if build == "now" else f"{name}, {build}",
+                size=pixels,
+                threads=bench.threads,
+                precision="f32",
+                seconds=usual[build],
+                lower=quarters.lower,
+                upper=quarters.upper,
+                rounds=len(times),
+                note=f"of it {show:.2f} ms to show",
+            )
+        if "before" in usual:
+            floor = median(run[panels]["show"] for run in found["now"]) / 1e3
+            most = max(WANTED, (floor + MORE) / usual["before"])
+            yield Measurement(
+                part=PART,
+                contestant=f"{name}: of the time before",
+                size=pixels,
+                rate=usual["now"] / usual["before"],
+                target=f"<= {most:.3g}",
+                rounds=len(found["now"]),
+            )
 
-    Call it in a process of its own. size: in pixels.
-    """
-    runtime.start("cpu", "f32")
-    from taichi_cloth.scene import library
-    from taichi_cloth.simulation.simulation import Simulation
-    from taichi_cloth.ui import app
-    from taichi_cloth.ui.framing import camera_of
-    from taichi_cloth.ui.opening import open_view
 
-    given = library.build(scene)
-    sim = Simulation(given)
+def ask(
+    python: str, scene: str, view: str, size: tuple[int, int]
+) -> dict[str, dict[str, float]] | str:
+    """What a window of a build took, as `window_worker.py` says it; or why it did not open."""
+    frames = FEW if scene in LONG else FRAMES
+    words = [scene, view, f"{size[0]}x{size[1]}", str(frames), *FLAGS.get(scene, ())]
+    command = [python, str(WORKER), *words]
     try:
-        opened = open_view(view, given.world, camera=camera_of(given), size=size)
-    except (InputError, RunFailure) as error:
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=LONGEST, env=_environment(python)
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
         return str(error)
-    with closing(opened):
-        app.run(sim, opened, frames=WARM)
-        runs = [app.run(sim, opened, frames=FRAMES) for _ in range(rounds)]
-    return [run.frames / (run.seconds - run.waited) for run in runs]
+    lines = done.stdout.strip().splitlines()
+    if done.returncode or not lines:
+        return (done.stderr.strip().splitlines() or ["its process ended"])[-1]
+    answer: dict[str, dict[str, float]] = json.loads(lines[-1])
+    return answer
+
+
+def _environment(python: str) -> dict[str, str]:
+    """The environment of a build's process: its own packages, and not those of this one."""
+    found = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    return found if python != sys.executable else dict(os.environ)

@@ -136,20 +136,6 @@ class FrameTimes:
         """What half of the last frames took at most besides to simulate, seconds."""
         return float(np.median([f.rest for f in self._frames]))
 
-    @property
-    def settled(self) -> bool:
-        """Whether the last frames are enough to judge drawing by."""
-        return len(self._frames) >= ENOUGH
-
-    def late_by_drawing(self, substeps: int) -> bool:
-        """Whether frames are late, with so many substeps, and drawing is most of what they take."""
-        return self.late(substeps) > 1 - KEPT and self.usual_rest > self.budget / 2
-
-    def draw_otherwise(self) -> None:
-        """From now on what is drawn takes another time."""
-        self._frames.clear()
-        self._since, self._costs = 0, None
-
     def in_time(self, substeps: int, least: int, part: float = 1.0) -> float:
         """The part of the frames that would have taken at most so much of the time.
 
@@ -158,11 +144,9 @@ class FrameTimes:
         always = self.late(least)
         return 1.0 - max(self.late(substeps, part) - always, 0.0) - min(always, NOT_OURS)
 
-    def late(self, substeps: int, part: float = 1.0, more: float = 0.0) -> float:
-        """The part of the frames that would have taken more than so much of the time; more: that
-        each would have taken besides, seconds.
-        """
-        return float((self.would_take(substeps) + more > part * self.budget).mean())
+    def late(self, substeps: int, part: float = 1.0) -> float:
+        """The part of the frames that would have taken more than so much of the time."""
+        return float((self.would_take(substeps) > part * self.budget).mean())
 
     def choose(self, now: int, limits: Limits) -> Choice:
         """The substeps of the next frame, where those of the last were `now`."""

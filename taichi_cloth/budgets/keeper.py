@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taichi_cloth.budgets.choice import RUNGS, Choice, Limits
-from taichi_cloth.budgets.drawing import Drawing
 from taichi_cloth.budgets.frames import Frame, FrameTimes
 from taichi_cloth.budgets.goal import Goal
 from taichi_cloth.budgets.methods import Found, Rival, Rivals, explicit
@@ -47,13 +46,10 @@ class Keeper:
     """Chooses a simulation's method, substeps, and how far its solver goes, before each frame.
 
     It is told what frames took, and which seconds were measured; what it chooses follows from that.
-    layered: whether pictures can be drawn more plainly, which is the last that it chooses for a
-    frame's time; drawing: whether they are. kept: why the method stays as it is; "": it does not.
+    kept: why the method stays as it is; "": it does not.
     """
 
-    def __init__(
-        self, sim: Simulation, goal: Goal, *, layered: bool = False, kept: str = ""
-    ) -> None:
+    def __init__(self, sim: Simulation, goal: Goal, *, kept: str = "") -> None:
         self.goal, self._sim, self.kept = goal, sim, kept
         self._stable = StableSteps(sim)
         self._explicit = {name: StableSteps(sim, name) for name in explicit()}
@@ -65,7 +61,6 @@ class Keeper:
         self._verdicts = 0  # that were looked at
         self._broken: list[tuple[int, int]] = []  # (frame, springs broken), at some of the last
         self.choice: Choice | None = None
-        self._layered, self.drawing = layered, Drawing()
         self._begin()
 
     def _begin(self) -> None:
@@ -117,14 +112,10 @@ class Keeper:
             return self.choice
         self._due = False
         limits = self._limits()
-        if by_time and self._layered:
-            self.drawing.look(self._times, now, limits.least)
         choice = (self._times if by_time else self._errors).choose(now, limits)
         for solver in self._solvers:
             choice = self._solved(solver, choice, now, limits)
         choice = self._with_method(choice, now, limits)
-        if self.drawing.plain:
-            choice = replace(choice, why=f"{choice.why}; drawn plain, for the time")
         self.choice = choice
         return choice
 

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from taichi_cloth.simulation import saved
     from taichi_cloth.simulation.simulation import Simulation
     from taichi_cloth.ui.interaction import Log
-    from taichi_cloth.ui.views.contract import View
+    from taichi_cloth.ui.view import View
 
 MOST_WITH_TOOLS = 20_000  # particles of a scene in a window that has all mouse tools ready
 

@@ -16,8 +16,8 @@ from taichi_cloth.errors import InputError, RunFailure, counted, milliseconds
 from taichi_cloth.files.pending import is_device
 from taichi_cloth.files.recordings import Recordings
 from taichi_cloth.files.trajectory import Recordable
+from taichi_cloth.render import style
 from taichi_cloth.settings.options import RunOptions
-from taichi_cloth.ui import style
 from taichi_cloth.ui.chrome.beside import DistanceReading
 from taichi_cloth.ui.text import Word
 

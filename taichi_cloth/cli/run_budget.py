@@ -11,9 +11,9 @@ from taichi_cloth.budgets import goal as goals
 from taichi_cloth.cli import run_beside
 from taichi_cloth.cli.run_meter import MeasuredErrors
 from taichi_cloth.errors import BudgetMissed, InputError, counted
+from taichi_cloth.render import style
 from taichi_cloth.runtime import current_device
 from taichi_cloth.settings.options import RunOptions
-from taichi_cloth.ui import style
 from taichi_cloth.ui.chrome.budget import METHOD, OFF, SETS
 from taichi_cloth.ui.text import Word
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from taichi_cloth.simulation.live import Value
     from taichi_cloth.simulation.simulation import Simulation
     from taichi_cloth.ui.interaction import Log
-    from taichi_cloth.ui.views.contract import View
+    from taichi_cloth.ui.view import View
 
 UNSEEN = (
     "--hold {}: a headless run has no frames to be in time for; hold an error, such as 1%, or open "
@@ -44,9 +44,8 @@ class HeldBudget:
     errors: of the same run, which are switched on: an error is held by them, and of the substeps
     for which there is time they say how many are of use, and which method is most accurate, once
     there is time for more than the fewest: to measure takes processor time, too. windowed: whether
-    frames are drawn, in whose time there is a sense; layered: whether smooth edges are drawn in
-    layers, and may be left out. told: whether changes are printed. kept: why the method stays as it
-    is; "": it is chosen, until the user sets one.
+    frames are drawn, in whose time there is a sense. told: whether changes are printed. kept: why
+    the method stays as it is; "": it is chosen, until the user sets one.
     """
 
     about = "keeps to frames a second, or to an error of each second: by method, substeps, solver"
@@ -58,11 +57,10 @@ class HeldBudget:
         *,
         windowed: bool,
         told: bool,
-        layered: bool = False,
         kept: str = "",
     ) -> None:
         self._sim, self._errors, self._kept = sim, errors, kept
-        self._windowed, self._told, self._layered = windowed, told, layered
+        self._windowed, self._told = windowed, told
         self._keeper: Keeper | None = None
         self._stable: StableSteps | None = None
         self._frames = self._in_time = 0
@@ -89,11 +87,6 @@ class HeldBudget:
             return ""
         solver = [f"{name} {value:g}" for name, value in choice.solver.items()]
         return ", ".join([self._sim.method, *solver, choice.why])
-
-    @property
-    def plain(self) -> bool:
-        """Whether pictures are drawn plain, for a frame's time."""
-        return self._keeper is not None and self._keeper.drawing.plain
 
     @property
     def shortens(self) -> bool:
@@ -132,7 +125,7 @@ class HeldBudget:
             raise InputError(UNSEEN.format(word))
         if goal.error is not None:
             self._measure(word)
-        self._keeper = Keeper(self._sim, goal, layered=self._layered, kept=self._kept)
+        self._keeper = Keeper(self._sim, goal, kept=self._kept)
         self.chosen = goal.words
         self._errors.try_methods(self._keeper.trials)
         if goal.error is not None:
@@ -180,7 +173,6 @@ class HeldBudget:
         """Choose for the next frame."""
         if self._keeper is None:
             return
-        was = self.plain
         choice = self._keeper.choose(self._errors.verdicts)
         if not self._bounded and self._keeper.has_room:
             self._bounded = True
@@ -198,7 +190,7 @@ class HeldBudget:
             if value != now[name]:
                 give(name, value)
         self._changing = self._sim.method != method
-        if self._told and (chosen != now or self.plain != was):
+        if self._told and chosen != now:
             print(f"frame {self._sim.frame}: hold {self.chosen}: {self.why}", flush=True)
 
     def after_frame(self, simulate: float, rest: float) -> None:
@@ -274,11 +266,10 @@ def held(
 ) -> Iterator[HeldBudget]:
     """The budget of a run, which is kept from the start if the options ask for one."""
     told = options.hold is not None and not options.quiet
-    layered = view.name == "ggui" and view.camera is None
     kept = "--method gave it" if "method" in options.given else ""
     if run_beside.asked(options):
         kept = "another run is compared with it"
-    budget = HeldBudget(sim, errors, windowed=view.visible, told=told, layered=layered, kept=kept)
+    budget = HeldBudget(sim, errors, windowed=view.visible, told=told, kept=kept)
     if options.hold is not None:
         budget.choose(options.hold)
     yield budget

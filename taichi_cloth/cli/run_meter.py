@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from taichi_cloth.render import style
 from taichi_cloth.settings.options import RunOptions
 from taichi_cloth.simulation import history
-from taichi_cloth.ui import style, timeline
+from taichi_cloth.ui import timeline
 from taichi_cloth.ui.chrome.errors import ErrorReading, GhostReading
 
 if TYPE_CHECKING:

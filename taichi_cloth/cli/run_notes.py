@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from taichi_cloth.simulation.simulation import Simulation
     from taichi_cloth.ui.interaction import Log
     from taichi_cloth.ui.summary import Refused, Summary
-    from taichi_cloth.ui.views.contract import View
+    from taichi_cloth.ui.view import View
 
 # What of a log's header is compared with a run that replays it.
 LOGGED = (

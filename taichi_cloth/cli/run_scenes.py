@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from taichi_cloth.cli.run_beside import Beside
     from taichi_cloth.simulation.simulation import Simulation
     from taichi_cloth.ui.interaction import Log
-    from taichi_cloth.ui.views.contract import View
+    from taichi_cloth.ui.view import View
 
 # Of one scene alone: its steps, what solves them, the layout of its springs, what it begins with.
 OF_ONE_SCENE = (

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Container, Mapping
 from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
 from typing import Any, TypeVar
 
 from taichi_cloth.errors import InputError, clipped, nearest
@@ -85,7 +86,9 @@ TOPOLOGIES = ("lanes", "graph")
 SOLVER_SETTINGS = {"tolerance": 1e-6, "iterations": 10}
 MOST_SUBSTEPS = MOST_ITERATIONS = 1_000_000
 MOST_TOLERANCE = 1  # nothing solved at all
-VIEWS = ("auto", "ggui", "gui", "none")
+# What shows pictures: the files of a folder (`ui/presenters/`), found without importing any.
+_PRESENTERS = sorted((Path(__file__).parents[1] / "ui" / "presenters").glob("[a-z]*.py"))
+VIEWS = ("auto", *(file.stem for file in _PRESENTERS if file.stem != "contract"))
 STRAIN = "strain"  # drawn: the colours of what springs bear
 SHOWN = ("surface", "springs", "particles", STRAIN)  # what may be drawn of a cloth
 HEADLESS_FRAMES = 600
@@ -325,6 +328,12 @@ class BenchOptions(Options):
         "backend of the part gpu (default: cuda and vulkan)",
         str,
         choices=tuple(arch for arch in ARCHS if arch not in ("cpu", "gpu")),
+    )
+    against: str | None = setting(
+        None,
+        "the Python of an earlier build's environment, for the part windows",
+        str,
+        metavar="PYTHON",
     )
     scenes: str | None = setting(
         None,

@@ -21,7 +21,7 @@ from taichi_cloth.ui.log_window import event_window
 from taichi_cloth.ui.loop import Loop
 from taichi_cloth.ui.request import Request
 from taichi_cloth.ui.summary import Summary
-from taichi_cloth.ui.views.contract import View
+from taichi_cloth.ui.view import View
 
 if TYPE_CHECKING:
     from taichi_cloth.simulation.simulation import Simulation

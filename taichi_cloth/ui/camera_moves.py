@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taichi_cloth.ui.camera import Camera
+from taichi_cloth.render.camera import Camera
 from taichi_cloth.ui.inputs import ORBIT
 
 if TYPE_CHECKING:

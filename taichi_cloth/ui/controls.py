@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taichi_cloth.errors import InputError, nearest
+from taichi_cloth.render.camera import Camera
+from taichi_cloth.render.window_map import WindowMap
 from taichi_cloth.ui import interaction, tools
-from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.camera_moves import CameraMoves
 from taichi_cloth.ui.inputs import (
     BACK_KEY,
@@ -26,7 +27,6 @@ from taichi_cloth.ui.inputs import (
 from taichi_cloth.ui.interaction import LogEvent
 from taichi_cloth.ui.picking import particle_at
 from taichi_cloth.ui.tools.contract import Events, Hand, Marks, Tool, ToolEvent
-from taichi_cloth.ui.window_map import WindowMap
 
 if TYPE_CHECKING:
     from taichi_cloth.simulation import live

@@ -7,19 +7,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from taichi_cloth.render import style
+from taichi_cloth.render.drawing import Cached
+from taichi_cloth.render.picture import Picture
 from taichi_cloth.scene.model import Scene
 from taichi_cloth.settings.options import STRAIN
-from taichi_cloth.ui import shown, style
+from taichi_cloth.ui import shown
 from taichi_cloth.ui.between import Between
 from taichi_cloth.ui.chrome.errors import Errors
 from taichi_cloth.ui.chrome.messages import Meanings
-from taichi_cloth.ui.drawing import Cached
 from taichi_cloth.ui.framing import camera_of, points_up
 from taichi_cloth.ui.ghosts import Ghosts
 from taichi_cloth.ui.solids import Solids
 from taichi_cloth.ui.strained import Strained
 from taichi_cloth.ui.tools.contract import Marks
-from taichi_cloth.ui.views.contract import Picture
 
 if TYPE_CHECKING:
     from taichi_cloth.simulation.simulation import Simulation

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from taichi_cloth.errors import InputError
+from taichi_cloth.render.camera import Camera
+from taichi_cloth.render.window_map import SCREEN, default_window
 from taichi_cloth.scene.model import Scene, World
 from taichi_cloth.settings import accepted
-from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.chrome.layout import NOTHING, Parts, arrange
-from taichi_cloth.ui.window_map import SCREEN, default_window
 
 SAMPLE = 500  # points among which the one farthest from what is held is sought
 SAG = 0.35  # in lengths to what is held, at most: how deep hangs what is held all around

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from taichi_cloth.ui.drawing import Cached
-from taichi_cloth.ui.views.contract import Ghost, Picture
+from taichi_cloth.render.drawing import Cached
+from taichi_cloth.render.picture import Ghost, Picture
 
 NO_TRIANGLES = np.zeros((0, 3), np.int64)
 

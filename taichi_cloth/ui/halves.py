@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taichi_cloth.errors import milliseconds
-from taichi_cloth.ui import style, text
+from taichi_cloth.render import style
+from taichi_cloth.render.picture import Half, Rect
+from taichi_cloth.render.pointer import Pointer
+from taichi_cloth.render.tiles import Panel, Tile
+from taichi_cloth.ui import text
 from taichi_cloth.ui.chrome.beside import Second
-from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.depiction import Depiction
-from taichi_cloth.ui.pointer import Pointer
 from taichi_cloth.ui.text import Word
-from taichi_cloth.ui.tiles import Panel, Tile
 from taichi_cloth.ui.tools.contract import Marks
-from taichi_cloth.ui.views.contract import Half
 
 if TYPE_CHECKING:
     from taichi_cloth.simulation.simulation import Simulation
@@ -86,13 +86,11 @@ class Pair:
         """There is no frame that was left."""
         self._depiction.between.forget()
 
-    def half(
-        self, room: Rect, marks: Marks | None, part: float, pointer: Pointer | None, *, plain: bool
-    ) -> Half:
+    def half(self, room: Rect, marks: Marks | None, part: float, pointer: Pointer | None) -> Half:
         """The second world. room: where. The rest: as for the first one's picture."""
         depiction = self._depiction
         depiction.show, depiction.strain = self._first.show, self._first.strain
-        picture = replace(depiction.picture(marks, part), pointer=pointer, plain=plain)
+        picture = replace(depiction.picture(marks, part), pointer=pointer)
         return Half(picture, room)
 
     def panels(self, cut: Halves, height: int) -> tuple[Panel, ...]:

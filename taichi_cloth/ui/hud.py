@@ -9,8 +9,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from taichi_cloth.errors import counted
+from taichi_cloth.render import style
 from taichi_cloth.scene.model import Scene
-from taichi_cloth.ui import style, tools
+from taichi_cloth.ui import tools
 from taichi_cloth.ui.chrome.strip import Row
 from taichi_cloth.ui.chrome.toolbar import Button
 from taichi_cloth.ui.plane_moves import PANS
@@ -131,18 +132,18 @@ def rates(meter: Meter, advice: Word | None = None) -> tuple[Word, ...]:
     return tuple(words)
 
 
-def faster(meter: Meter, *, quicker: str, shortens: Callable[[], bool]) -> Word | None:
+def faster(meter: Meter, *, shortens: Callable[[], bool]) -> Word | None:
     """The one thing by which late frames would be shorter; None: they are not late, or nothing is
     known to help.
 
-    quicker: the flag of a view that draws quicker here, "" where none is known to. shortens:
-    whether to hold frames a second would make frames shorter; asked only where that is the matter.
+    shortens: whether to hold frames a second would make frames shorter; asked only where that is
+    the matter.
     """
     simulate, draw = meter.simulate, meter.draw
     if meter.late < LATE or simulate + draw < BUSY / FRAME_RATE:
         return None
     if draw > simulate:
-        helps = ", ".join(filter(None, ("smaller window", quicker)))
+        helps = "smaller window"
     elif shortens():
         helps = f"hold {FRAME_RATE:.0f}fps (o)"
     else:

@@ -10,7 +10,7 @@ from typing import Any
 
 from taichi_cloth.errors import InputError
 from taichi_cloth.files.events import Kind, number, numbers, pair, text, word_of
-from taichi_cloth.ui.camera import POSE
+from taichi_cloth.render.camera import POSE
 from taichi_cloth.ui.x11 import Input
 
 BUTTONS = ("left", "middle", "right")

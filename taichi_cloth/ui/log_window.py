@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from taichi_cloth.render.picture import Rect
+from taichi_cloth.render.window_map import WindowMap
 from taichi_cloth.scene.model import World
-from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.interaction import Log
-from taichi_cloth.ui.views.contract import View
-from taichi_cloth.ui.window_map import WindowMap
+from taichi_cloth.ui.view import View
 
 if TYPE_CHECKING:
     from taichi_cloth.simulation.simulation import Simulation

@@ -30,7 +30,7 @@ from taichi_cloth.ui.summary import Summary
 from taichi_cloth.ui.takes import Takes
 from taichi_cloth.ui.timeline import SPEEDS, Timeline
 from taichi_cloth.ui.travel import Travel
-from taichi_cloth.ui.views.contract import View
+from taichi_cloth.ui.view import View
 
 if TYPE_CHECKING:
     from taichi_cloth.simulation.live import Value

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taichi_cloth.ui.camera import Camera
+from taichi_cloth.render.camera import Camera
+from taichi_cloth.render.window_map import WindowMap
 from taichi_cloth.ui.solids import Solids
-from taichi_cloth.ui.window_map import WindowMap
 
 if TYPE_CHECKING:
     from taichi_cloth.simulation.simulation import Simulation

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taichi_cloth.ui.camera import FILLED
+from taichi_cloth.render.camera import FILLED
+from taichi_cloth.render.window_map import Look, WindowMap
 from taichi_cloth.ui.camera_moves import MOST_POSES, ZOOM_STEP, gathered
 from taichi_cloth.ui.inputs import BACK_KEY, FARTHER_KEYS, FRAME_KEY, HOME_KEY, NEARER_KEYS, Event
-from taichi_cloth.ui.window_map import Look, WindowMap
 
 if TYPE_CHECKING:
     from taichi_cloth.simulation.simulation import Simulation

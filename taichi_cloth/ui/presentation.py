@@ -11,11 +11,13 @@ import numpy as np
 
 from taichi_cloth import runtime
 from taichi_cloth.errors import printable
+from taichi_cloth.render.picture import Picture, Rect
+from taichi_cloth.render.pointer import Pointer
 from taichi_cloth.settings.options import PROGRAM
 from taichi_cloth.ui import hud
 from taichi_cloth.ui.chrome.chrome import Chrome, Contents, key_list
 from taichi_cloth.ui.chrome.contract import Part
-from taichi_cloth.ui.chrome.layout import NOTHING, ROWS, Layout, Rect, arrange
+from taichi_cloth.ui.chrome.layout import NOTHING, ROWS, Layout, arrange
 from taichi_cloth.ui.chrome.meters import Meters
 from taichi_cloth.ui.chrome.timeline_row import TimelineRow
 from taichi_cloth.ui.chrome.toolbar import Button
@@ -25,7 +27,6 @@ from taichi_cloth.ui.depiction import Depiction
 from taichi_cloth.ui.halves import Pair, halves
 from taichi_cloth.ui.inputs import COMMANDS, Event
 from taichi_cloth.ui.log_window import LogWindow
-from taichi_cloth.ui.pointer import Pointer
 from taichi_cloth.ui.request import Request
 from taichi_cloth.ui.run_state import RunState
 from taichi_cloth.ui.schedule import FRAME_RATE
@@ -33,7 +34,7 @@ from taichi_cloth.ui.status import Status
 from taichi_cloth.ui.takes import Takes
 from taichi_cloth.ui.text import Word
 from taichi_cloth.ui.travel import Travel
-from taichi_cloth.ui.views.contract import Picture, View
+from taichi_cloth.ui.view import View
 
 if TYPE_CHECKING:
     from taichi_cloth.simulation.running_costs import RunningCosts
@@ -217,9 +218,8 @@ class Presentation:
         picture = self.depiction.picture(self._controls.marks(), part)
         layout = self.arranged()
         around = self.chrome.overlay(layout, self._contents())
-        plain = self._budget is not None and self._budget.plain
         pointer = self._pointer() if pointed else None
-        picture = replace(picture, overlay=around, pointer=pointer, plain=plain)
+        picture = replace(picture, overlay=around, pointer=pointer)
         return self._with_second(picture, layout, part, pointed) if self.pair else picture
 
     def _with_second(self, picture: Picture, layout: Layout, part: float, pointed: bool) -> Picture:
@@ -236,7 +236,7 @@ class Presentation:
                 cross=at.cross or self._window.side == 0,
             )
         marks = self._controls.marks(pair.sim)
-        half = pair.half(cut.right, marks, part, second, plain=picture.plain)
+        half = pair.half(cut.right, marks, part, second)
         overlay = (*pair.panels(cut, layout.text), *picture.overlay)
         return replace(picture, overlay=overlay, pointer=first, beside=half)
 
@@ -308,10 +308,7 @@ class Presentation:
     def _faster(self) -> Word | None:
         """What would make late frames shorter; a script has no flags, and no budget."""
         budget = self._budget
-        quicker = self._view.quicker if budget else ""
-        return hud.faster(
-            self.meter, quicker=quicker, shortens=lambda: budget is not None and budget.shortens
-        )
+        return hud.faster(self.meter, shortens=lambda: budget is not None and budget.shortens)
 
     def _in_view(self) -> bool:
         """Whether any particle or triangle is in the picture, or there is none at all."""

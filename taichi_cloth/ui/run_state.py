@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from taichi_cloth.errors import SimulationFailure
-from taichi_cloth.ui import style
+from taichi_cloth.render import style
 from taichi_cloth.ui.summary import Refused
 from taichi_cloth.ui.text import Word
 from taichi_cloth.ui.timeline import Pace

@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taichi_cloth.errors import InputError, printable
+from taichi_cloth.render.camera import Camera
 from taichi_cloth.settings import accepted
 from taichi_cloth.settings.options import HEADLESS_FRAMES, PROGRAM, SHOWN, shown_parts
 from taichi_cloth.simulation import showing
-from taichi_cloth.ui import app, views
-from taichi_cloth.ui.camera import Camera
+from taichi_cloth.ui import app
 from taichi_cloth.ui.framing import camera_of, window_of
-from taichi_cloth.ui.opening import open_view
+from taichi_cloth.ui.opening import in_memory, open_view
 from taichi_cloth.ui.summary import Summary
-from taichi_cloth.ui.views.contract import View
+from taichi_cloth.ui.view import View
 
 if TYPE_CHECKING:
     from taichi_cloth.scene.model import Scene
@@ -193,10 +193,8 @@ def _check(
 
 def _offscreen(sim: Simulation, size: tuple[int, int] | None, camera: Camera | None) -> View:
     """A view in memory, of which there may be several."""
-    kinds = views.load_all().values()
-    kind = next(kind for kind in kinds if kind.several and kind.pictures())
     world = sim.scene.world
-    view = kind.open(world, _checked_size(size) or window_of(world), "", visible=False)
+    view = in_memory(world, _checked_size(size) or window_of(world))
     view.camera = camera or camera_of(sim.scene)
     return view
 

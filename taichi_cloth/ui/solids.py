@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from taichi_cloth.render import style
+from taichi_cloth.render.picture import Solid
 from taichi_cloth.scene.model import Scene, World
-from taichi_cloth.ui import style
-from taichi_cloth.ui.surfaces import Solid
 
 if TYPE_CHECKING:
     from taichi_cloth.scene.solids import Drawn

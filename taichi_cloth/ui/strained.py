@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from taichi_cloth.render.drawing import Cached
 from taichi_cloth.simulation import strain
-from taichi_cloth.ui.drawing import Cached
 from taichi_cloth.ui.text import Color
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from contextlib import ExitStack
 
 import numpy as np
 
-from taichi_cloth.ui.chrome.layout import Rect
+from taichi_cloth.render.picture import Rect
 from taichi_cloth.ui.film import Film
 from taichi_cloth.ui.shutter import Shutter
 

@@ -1,7 +1,4 @@
-"""Text as small opaque pictures, laid over the frame by every view in the same pixels.
-
-Taichi's windows cannot blend, so text is rasterised here against its own paper.
-"""
+"""Text as small opaque pictures, each on its own paper, laid over the frame."""
 
 from __future__ import annotations
 
@@ -22,7 +19,6 @@ Color = tuple[int, int, int]  # 0..255
 ELLIPSIS = "\N{HORIZONTAL ELLIPSIS}"  # in the place of what is left out
 NO_LETTER = "\uffff"  # in any font
 SHORTEST_PATH = 24  # letters: one that is longer may lose its middle
-SHADES = 4  # ink coverage levels: few enough for long runs, enough for smooth letters
 
 
 @lru_cache(maxsize=8)
@@ -83,7 +79,7 @@ def _ink(word: str, height: int) -> np.ndarray:
         x += font.getlength(piece) + _apart(height)
     share = np.asarray(image, np.float32)[:, :, None] / 255
     # A light gamma keeps thin strokes of bright letters from fading into dark paper.
-    inked: np.ndarray = np.round(share**0.8 * (SHADES - 1)) / (SHADES - 1)
+    inked: np.ndarray = share**0.8
     return inked
 
 

@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from taichi_cloth.files.events import Recorder
     from taichi_cloth.files.recordings import Recordings
     from taichi_cloth.files.trajectory import Trajectory
+    from taichi_cloth.render.camera import Camera
     from taichi_cloth.simulation.simulation import Simulation
-    from taichi_cloth.ui.camera import Camera
     from taichi_cloth.ui.controls import Controls
     from taichi_cloth.ui.interaction import LogEvent
 

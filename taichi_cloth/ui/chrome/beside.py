@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from taichi_cloth.ui import style
+from taichi_cloth.render import style
 from taichi_cloth.ui.text import Color, Word
 
 if TYPE_CHECKING:

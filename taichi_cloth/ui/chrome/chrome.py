@@ -6,13 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
+from taichi_cloth.render.picture import Rect
+from taichi_cloth.render.tiles import Panel
 from taichi_cloth.ui.chrome import messages, strip, toolbar
 from taichi_cloth.ui.chrome.contract import COLUMN, ROW, Part
-from taichi_cloth.ui.chrome.layout import ROWS, Layout, Parts, Rect, arrange, at_start
+from taichi_cloth.ui.chrome.layout import ROWS, Layout, Parts, arrange, at_start
 from taichi_cloth.ui.chrome.strip import Row
 from taichi_cloth.ui.chrome.toolbar import Button
 from taichi_cloth.ui.inputs import Event
-from taichi_cloth.ui.tiles import Panel
 
 
 @dataclass(frozen=True)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from taichi_cloth.ui.chrome.layout import Rect
+from taichi_cloth.render.picture import Rect
+from taichi_cloth.render.tiles import Panel
 from taichi_cloth.ui.inputs import Event
-from taichi_cloth.ui.tiles import Panel
 
 COLUMN, ROW = "column", "row"  # places: in the column at the right, or under the world
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from taichi_cloth.render import style
 from taichi_cloth.simulation.history import SECONDS, History
-from taichi_cloth.ui import style
 from taichi_cloth.ui.chrome.beside import DistanceReading
 from taichi_cloth.ui.chrome.errors import ErrorReading
 from taichi_cloth.ui.chrome.graphs import Curve, Line

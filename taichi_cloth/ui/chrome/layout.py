@@ -6,25 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from taichi_cloth.render.picture import Rect
+
 SIDE_SHARE = 0.27  # of the window's width that a column beside the world takes
 SIDE_WIDTH = (15.0, 26.0)  # in text heights: below it labels do not fit, above it is mostly empty
 SMALLEST_TEXT = 8  # pixels
 SMALLEST_ROOM = 64  # pixels that the world keeps along each side, whatever is open
-
-
-@dataclass(frozen=True)
-class Rect:
-    """A rectangle of window pixels; (x, y) is its upper left corner."""
-
-    x: int
-    y: int
-    width: int
-    height: int
-
-    def holds(self, pixel: tuple[float, float]) -> bool:
-        """Whether a window pixel (x, y) lies in it."""
-        x, y = pixel[0] - self.x, pixel[1] - self.y
-        return 0 <= x < self.width and 0 <= y < self.height
 
 
 @dataclass(frozen=True)

@@ -7,17 +7,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from taichi_cloth.render import style
+from taichi_cloth.render.picture import Rect
+from taichi_cloth.render.tiles import Panel, Tile
 from taichi_cloth.simulation.history import ROWS, SECONDS, History
-from taichi_cloth.ui import style, text
+from taichi_cloth.ui import text
 from taichi_cloth.ui.chrome import graphs, instruments
 from taichi_cloth.ui.chrome.beside import Second
 from taichi_cloth.ui.chrome.contract import COLUMN
 from taichi_cloth.ui.chrome.errors import Errors
 from taichi_cloth.ui.chrome.instruments import Meter, Source
-from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.schedule import FRAME_RATE
-from taichi_cloth.ui.tiles import Panel, Tile
 
 if TYPE_CHECKING:
     from taichi_cloth.simulation.gauges import Gauges
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 
 REDRAWN = 0.15  # seconds between two drawings of a window's meters
 LEAST, MOST = 2.0, 5.0  # heights of a graph, in heights of text
-SHADES = ((56, 0.5), (168, 1.0))  # of letters: from so much ink on (of 255), that part of a colour
 SMALL = 0.86  # of the height of text: of what stands beside a graph
 
 
@@ -226,17 +226,5 @@ def _graph(pixels: np.ndarray, box: Rect, meter: Meter, small: int, thick: int) 
 def _say(
     pixels: np.ndarray, words: str, x: float, y: float, height: int, color: text.Color
 ) -> None:
-    """Write words onto pixels (h, w, 3) with the top of their letters at (x, y).
-
-    In fewer shades than other text: each run of pixels is a rectangle for some views.
-    """
-    margin, left, top = round(0.5 * height), round(x), round(y)
-    first_row, first_column = max(top - margin, 0), max(left - margin, 0)
-    width = round(text.length(words, height)) + 2 * margin
-    block = pixels[first_row : top + height + margin, first_column : first_column + width]
-    ink = np.zeros_like(block)
-    text.write(ink, words, (left - first_column, top - first_row), height, (255, 255, 255))
-    share = ink[:, :, 0]
-    for least, part in SHADES:
-        inked = share >= least
-        block[inked] = [round(a + part * (b - a)) for a, b in zip(style.PAPER, color, strict=True)]
+    """Write words onto pixels (h, w, 3) with the top of their letters at (x, y)."""
+    text.write(pixels, words, (x, y), height, color)

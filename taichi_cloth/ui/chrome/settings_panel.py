@@ -19,18 +19,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taichi_cloth.errors import InputError
+from taichi_cloth.render import style
+from taichi_cloth.render.picture import Rect
+from taichi_cloth.render.tiles import Panel, Tile
 from taichi_cloth.simulation import live
 from taichi_cloth.simulation.engine import compiles_in_background
 from taichi_cloth.simulation.setting_costs import SettingCosts
-from taichi_cloth.ui import style, text
+from taichi_cloth.ui import text
 from taichi_cloth.ui.chrome import settings_rows as rows
 from taichi_cloth.ui.chrome.budget import HOLD, METHOD, OFF, SETS, Budget
 from taichi_cloth.ui.chrome.contract import COLUMN
-from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.chrome.settings_rows import OPEN, Placed, Row
 from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.scenes import Scenes
-from taichi_cloth.ui.tiles import Panel, Tile
 
 if TYPE_CHECKING:
     from taichi_cloth.simulation.live import Setting, Value

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from taichi_cloth.render import style
 from taichi_cloth.simulation import live
-from taichi_cloth.ui import style, text
+from taichi_cloth.ui import text
 from taichi_cloth.ui.text import Color
 
 if TYPE_CHECKING:

@@ -8,10 +8,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from taichi_cloth.ui import style, text
-from taichi_cloth.ui.chrome.layout import Rect
+from taichi_cloth.render import style
+from taichi_cloth.render.picture import Rect
+from taichi_cloth.render.tiles import Panel, Tile
+from taichi_cloth.ui import text
 from taichi_cloth.ui.text import Word
-from taichi_cloth.ui.tiles import Panel, Tile
 
 SEPARATOR = "   "  # between the words, where they are read as one line
 

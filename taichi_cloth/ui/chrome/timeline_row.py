@@ -6,12 +6,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from taichi_cloth.ui import style, text
+from taichi_cloth.render import style
+from taichi_cloth.render.picture import Rect
+from taichi_cloth.render.tiles import Panel, Tile
+from taichi_cloth.ui import text
 from taichi_cloth.ui.chrome.contract import ROW
-from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.schedule import FRAME_RATE
-from taichi_cloth.ui.tiles import Panel, Tile
 from taichi_cloth.ui.timeline import Timeline
 
 

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taichi_cloth.ui import style, text
-from taichi_cloth.ui.chrome.layout import Rect
-from taichi_cloth.ui.tiles import Panel, Tile
+from taichi_cloth.render import style
+from taichi_cloth.render.picture import Rect
+from taichi_cloth.render.tiles import Panel, Tile
+from taichi_cloth.ui import text
 
 
 @dataclass(frozen=True)

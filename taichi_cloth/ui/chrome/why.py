@@ -12,14 +12,15 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from taichi_cloth.ui import style, text
+from taichi_cloth.render import style
+from taichi_cloth.render.picture import Rect
+from taichi_cloth.render.tiles import Panel, Tile
+from taichi_cloth.ui import text
 from taichi_cloth.ui.chrome import graphs
 from taichi_cloth.ui.chrome.contract import COLUMN
 from taichi_cloth.ui.chrome.graphs import Curve, Line
-from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.inputs import Event
 from taichi_cloth.ui.text import Color
-from taichi_cloth.ui.tiles import Panel, Tile
 
 APPLY_KEY = "u"
 NOTHING = "nothing has failed: here stands why a run stopped, and with which setting it survives"

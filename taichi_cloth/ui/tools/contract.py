@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 import numpy as np
 
 from taichi_cloth.files.events import Reader
+from taichi_cloth.render.camera import Camera
+from taichi_cloth.render.window_map import WindowMap
 from taichi_cloth.scene.model import MOUSE_MODES, Scene
 from taichi_cloth.ui import picking
-from taichi_cloth.ui.camera import Camera
 from taichi_cloth.ui.inputs import BACK_KEY, BUTTONS, COMMANDS, FRAME_KEY, KEYS, KINDS, Event
-from taichi_cloth.ui.window_map import WindowMap
 
 if TYPE_CHECKING:
     from taichi_cloth.simulation.simulation import Simulation

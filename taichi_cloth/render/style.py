@@ -23,6 +23,7 @@ BANNER_INK = (255, 240, 238)
 GHOST, GHOST_SHARE = (150, 205, 255), 0.5  # so much of it is seen, and so much what is behind it
 GHOST_ON_WORLD = tuple(round((a + b) / 2) for a, b in zip(GHOST, WORLD, strict=True))
 RECORDING = (232, 64, 64)
+POINTER = (((15, 17, 23), 3.4), ((236, 239, 244), 1.4))  # its lines, pixels wide, upon each other
 
 AMBIENT = 0.38  # share of a sphere's colour that needs no light
 LIGHT = np.array([-0.45, -0.65, -0.62])  # direction to the light: left, above, towards us
@@ -31,6 +32,8 @@ FILL = np.array([0.8, -0.3, -0.35])  # to a second one, for surfaces: their fold
 FILL /= np.linalg.norm(FILL)
 FILL_STRENGTH = 0.22
 LIGHTS = ((LIGHT, 1 - AMBIENT), (FILL, FILL_STRENGTH))  # of surfaces: direction, strength
+
+SHEEN = 0.10  # of light that a fabric's fibres add where one sees it along its surface
 
 # A surface's back is a lining in the first of these colours; in the second, where its front has
 # about the same hue and could be a back in the shade. BACK_SHARE: the part that is the front's.

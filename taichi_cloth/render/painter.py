@@ -1,20 +1,22 @@
-"""Paints flat shapes into a picture in memory, on the device that is running.
+"""Paints flat shapes into an image in memory, on the device that is running.
 
-For the view that has nothing else to draw with; a picture has the same bits on every run.
+An image has the same bits on every run.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from taichi_cloth import runtime
-from taichi_cloth.kernels import paint
+from taichi_cloth.kernels.render import paint
+from taichi_cloth.render.picture import Rect
+from taichi_cloth.render.rasterizer import NOWHERE, on_device, tile_of
 
-ROWS = 16  # that a thread of a CPU paints at a time, over the whole width
-SQUARE = 8  # pixels along a side of what one of another device does
+NONE = np.zeros((0, 7), np.float32), np.zeros((0, 2), np.int32)
 
 
 @dataclass(frozen=True)
@@ -68,19 +70,52 @@ def outline(corner: np.ndarray) -> np.ndarray:
     return bits
 
 
-def draw(picture: np.ndarray, shapes: Sequence[Shapes]) -> None:
-    """Paint shapes over a picture (h, w) uint32, 0xRRGGBB, row 0 on top, the first ones first."""
-    shapes = [some for some in shapes if len(some.what)]
-    if not shapes:
-        return
-    device = runtime.current_device().arch
-    tile = (ROWS, picture.shape[1]) if device == "cpu" else (SQUARE, SQUARE)
-    paint.paint(
-        picture.view(np.int32),
-        *tile,
-        np.concatenate([some.number for some in shapes]),
-        np.concatenate([some.what for some in shapes]),
-    )
+class Painter:
+    """Paints in a room of an image, over `under`, and remembers where.
+
+    under: (h, w) int32, 0xRRGGBB, what lies behind all shapes; None: what the image has.
+    """
+
+    def __init__(self, room: Rect, under: np.ndarray | None = None):
+        tall, wide = self._tile = tile_of(room.width)
+        self.room, self._across = room, -(-room.width // wide)
+        self._tiles = self._across * -(-room.height // tall)
+        self._over = under is None
+        self._under = np.zeros(1, np.int32) if under is None else under.reshape(-1)
+        self._box = on_device(self._tiles + 64, 4)
+        self._fresh = True
+
+    def draw(
+        self,
+        image: Any,
+        width: int,
+        shapes: Sequence[Shapes],
+        again: tuple[int, ...] = NOWHERE,
+    ) -> None:
+        """Paint shapes, the first ones first, into an image (h * width,) int32.
+
+        again: columns and rows of the image, from and to, in which something else was drawn
+        meanwhile.
+        """
+        shapes = [some for some in shapes if len(some.what)]
+        if self._over and not shapes:
+            return
+        number, what = NONE
+        if shapes:
+            number = np.concatenate([some.number for some in shapes])
+            what = np.concatenate([some.what for some in shapes])
+        needed = self._tiles + -(-len(what) // paint.CHUNK)
+        if self._box.shape[0] < needed:
+            self._box, self._fresh = on_device(2 * needed, 4), True
+        count = np.zeros(paint.COUNTS, np.int32)
+        room = self.room
+        count[paint.ROOM :][:4] = room.x, room.y, room.width, room.height
+        count[paint.TILE :][:4] = *self._tile, self._across, self._tiles
+        count[paint.WIDTH], count[paint.FRESH], count[paint.OVER] = width, self._fresh, self._over
+        count[paint.AGAIN :][:4] = again
+        count[paint.WORKERS] = runtime.current_device().threads
+        paint.paint(number, what, count, self._box, self._under, image)
+        self._fresh = False
 
 
 def _what(count: int, kind: np.ndarray | int, color: np.ndarray | int) -> np.ndarray:

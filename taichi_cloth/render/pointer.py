@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-COLOR, SHADE = (236, 239, 244), (15, 17, 23)  # of the lines, and of wider ones behind them
-WIDE, WIDE_SHADE = 1.4, 3.4  # pixels
 CROSS = (4.0, 11.0)  # pixels from the pointer, from where to where its lines reach
 CORNERS = 56  # of the ring
 

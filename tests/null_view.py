@@ -1,23 +1,21 @@
-"""No view: a run without a window and without pictures."""
+"""A view for tests, which neither draws nor shows anything."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from taichi_cloth.render.camera import Camera
+from taichi_cloth.render.picture import Picture, Rect
+from taichi_cloth.render.window_map import Look, default_window
 from taichi_cloth.scene.model import World
-from taichi_cloth.ui.camera import Camera
-from taichi_cloth.ui.chrome.layout import Rect
 from taichi_cloth.ui.framing import camera_of_world
 from taichi_cloth.ui.inputs import Event
-from taichi_cloth.ui.views.contract import Picture, ViewKind
-from taichi_cloth.ui.window_map import Look, default_window
 
 
 class NullView:
     """A view that reports no events and draws nothing."""
 
     name = "none"
-    quicker = ""
     visible = False
     has_wheel = False
     closed = False
@@ -56,13 +54,3 @@ class NullView:
 
     def close(self) -> None:
         """There is nothing to give back."""
-
-
-VIEW = ViewKind(
-    name="none",
-    windows=False,
-    lack=lambda: None,
-    pictures=lambda: False,
-    several=True,
-    open=NullView,
-)

@@ -8,25 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from taichi_cloth.ui import style
-from taichi_cloth.ui.camera import Camera
+from taichi_cloth.render import style
 
 TILES = 24  # of a floor, at most so many along each side
-
-
-@dataclass(frozen=True)
-class Solid:
-    """The surface of something that is no cloth: closed, seen from outside.
-
-    vertex: (k, dim) world units. triangles: (m, 3) int, counterclockwise seen from outside.
-    color: (k, 3) uint8.
-    """
-
-    vertex: np.ndarray
-    triangles: np.ndarray
-    color: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -76,12 +61,9 @@ class Topology:
             normal[self.particle] = total / np.maximum(length, np.finfo(total.dtype).tiny)
         return normal
 
-    def faces_us(self, position: np.ndarray, face: np.ndarray, distance: float) -> np.ndarray:
-        """Which triangles turn their front to the eye, at (0, 0, -distance); (m,) bool."""
-        corner = position.take(self.triangles[:, 0], axis=0)
-        towards = np.einsum("ij,ij->i", face, corner) + distance * face[:, 2]
-        front: np.ndarray = towards < 0
-        return front
+    def unit_normals(self, position: np.ndarray) -> np.ndarray:
+        """Unit normals of the particles, (n, 3): of the sum of their triangles'; 0 without any."""
+        return self.normals(position, self.face_normals(position))
 
 
 def brightness(normal: np.ndarray) -> np.ndarray:
@@ -99,50 +81,6 @@ def back_of(color: np.ndarray) -> np.ndarray:
     like = np.abs(hue - usual / usual.sum()).max(axis=1, keepdims=True) < style.SAME_HUE
     mixed = style.BACK_SHARE * color + (1 - style.BACK_SHARE) * np.where(like, other, usual)
     return np.asarray(mixed, np.uint8)
-
-
-def seen_normals(
-    topology: Topology,
-    camera: Camera,
-    position: np.ndarray,
-    face: np.ndarray,
-    known: np.ndarray | None,
-) -> np.ndarray:
-    """Unit normals (n, 3) in the camera's axes.
-
-    position: (n, 3) and face: (m, 3) in these, too. known: (n, 3), the normals in the world's axes;
-    None: they are not known yet.
-    """
-    if known is None:
-        return topology.normals(position, face)
-    turned: np.ndarray = known.astype(np.float32) @ camera.rotation().T.astype(np.float32)
-    return turned
-
-
-def floor(
-    height: float, centre: ArrayLike, radius: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A floor of tiles in two shades, which fades out around what is looked at.
-
-    height: its y. centre: (3,) world units, what is looked at. radius: of what is to be seen there.
-
-    Returns corners (t, 4, 3) in world units, their colours (t, 4, 3), floats 0..1, and their
-    opacities (t, 4).
-    """
-    side, reach = floor_tiles(radius)
-    centre = np.asarray(centre, np.float64)
-    first = np.floor((centre[[0, 2]] - reach) / side).astype(int)
-    count = int(np.ceil(2 * reach / side)) + 1
-    i, j = np.divmod(np.arange(count * count), count)
-    corner = (np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) + np.stack([i, j], 1)[:, None]) + first
-    place = np.full((len(i), 4, 3), float(height))
-    place[:, :, [0, 2]] = corner * side
-    odd = (corner[:, 0].sum(axis=1) % 2)[:, None, None]
-    color = np.where(odd, style.unit(style.TILES[0]), style.unit(style.TILES[1]))
-    away = np.linalg.norm(place[:, :, [0, 2]] - centre[[0, 2]], axis=2) / reach
-    opacity = np.clip(1.25 * (1 - away**2), 0, 1)
-    seen = opacity.max(axis=1) > 0
-    return place[seen], np.broadcast_to(color, place.shape)[seen], opacity[seen]
 
 
 def floor_tiles(radius: float) -> tuple[float, float]:

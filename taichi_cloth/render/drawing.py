@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from numbers import Number
 from typing import Generic, ParamSpec, TypeVar
 
 import numpy as np
 
-from taichi_cloth.scene.model import Particles, Springs, World
-from taichi_cloth.ui import style
-from taichi_cloth.ui.camera import Camera
-from taichi_cloth.ui.views.contract import Picture
+from taichi_cloth.render import style
+from taichi_cloth.render.camera import Camera
+from taichi_cloth.render.picture import Bounds, Picture
 
 LIFTED = 1e-3  # by this share of the way to the eye springs are seen before their surface
 SMALLEST_DISC = 0.8  # pixels of its radius
 RIM = 0.45  # of a disc's colour is that of its rim
 AXES_LENGTH = 0.16  # in radii of what the camera frames
-TABLES = (np.ndarray, Particles, Springs)  # whose equality is no single truth
+PLAIN = (str, Number, tuple, frozenset, type(None))  # whose equality is one truth
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -32,8 +32,8 @@ class Cached(Generic[P, T]):
     def __call__(self, *inputs: P.args, **named: P.kwargs) -> T:
         """The function's value; the one returned last if all inputs are what they were.
 
-        An array, or a table of them, is what it was while it is the same object, anything else
-        while it is equal.
+        A number, a word or a tuple of them is what it was while it is equal, anything else while it
+        is the same object.
         """
         given = (*inputs, *named.values())
         if self._made is None or not all(map(_unchanged, self._made[0], given)):
@@ -42,8 +42,8 @@ class Cached(Generic[P, T]):
 
 
 def _unchanged(before: object, now: object) -> bool:
-    arrays = isinstance(now, TABLES) or isinstance(before, TABLES)
-    return before is now or (not arrays and before == now)
+    plain = isinstance(now, PLAIN) and isinstance(before, PLAIN)
+    return before is now or (plain and before == now)
 
 
 def are_numbers(points: np.ndarray) -> np.ndarray:
@@ -57,7 +57,7 @@ def between_shown(segments: np.ndarray, shown: np.ndarray) -> np.ndarray:
     return segments if shown.all() else segments[shown[segments].all(axis=1)]
 
 
-def scenery(world: World, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+def scenery(world: Bounds, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """The lines of a 3-D world: ends (k, 2, 3) in world units, colours (k, 3), floats 0..1.
 
     They are its edges and the axes at its origin with their names; where y points up, edges only
@@ -143,13 +143,3 @@ def spring_width_on(picture: Picture, segments: np.ndarray, pixels: float, heigh
 def edge_width(height: int) -> float:
     """How wide the world's edges are drawn, in pixels of a window of this height."""
     return max(1.6, height / 500)
-
-
-def as_image(canvas: np.ndarray) -> np.ndarray:
-    """The image (height, width, 3) uint8, row 0 on top, of Taichi's canvas.
-
-    canvas: (width, height, 3 or 4) floats 0..1, column by column from the bottom up.
-    """
-    pixels = np.clip(canvas[:, ::-1, :3].transpose(1, 0, 2), 0, 1)
-    image: np.ndarray = (pixels * 255 + 0.5).astype(np.uint8)
-    return image

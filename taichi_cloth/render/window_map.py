@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from taichi_cloth.scene.model import World
-from taichi_cloth.ui.chrome.layout import Rect
+from taichi_cloth.render.picture import Bounds, Rect
 
 # The size that a window has at least, where a screen has so much room.
 SMALLEST_WINDOW = (1280, 800)
@@ -48,7 +47,7 @@ class WindowMap:
     @classmethod
     def of(
         cls,
-        world: World,
+        world: Bounds,
         window: tuple[int, int],
         room: Rect | None = None,
         look: Look | None = None,
@@ -115,18 +114,6 @@ class WindowMap:
             zoom = float((filled * room / (whole.scale * (high - low))).min())
         x, y = (low + high) / 2
         return Look((float(x), float(y)), min(zoom, 1.0))
-
-    def to_canvas(self, pixels: ArrayLike) -> np.ndarray:
-        """Window `pixels` (..., 2) in Taichi's canvas coordinates: 0..1, y up."""
-        points: np.ndarray = np.asarray(pixels) / self.window * [1, -1] + [0, 1]
-        return points
-
-    def world_to_canvas(self, points: np.ndarray) -> np.ndarray:
-        """World `points` (n, 2) in canvas coordinates and in their precision, in two passes."""
-        offset = self.to_canvas(self.to_window([0.0, 0.0]))
-        scale = self.scale / np.array(self.window) * [1, 1 if self.y_up else -1]
-        out: np.ndarray = points * scale.astype(points.dtype) + offset.astype(points.dtype)
-        return out
 
     def box(self) -> tuple[np.ndarray, np.ndarray]:
         """Upper left and lower right corner of the world, (2,) window pixels each."""

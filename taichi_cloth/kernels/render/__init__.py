@@ -1,0 +1,1 @@
+"""Device code of drawing: surfaces, balls and lines with depth, flat shapes, shadows."""
