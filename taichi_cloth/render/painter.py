@@ -35,14 +35,23 @@ def lines(first: np.ndarray, second: np.ndarray, width: float, color: np.ndarray
 
     first, second: (k, 2) pixels, their ends. width: pixels. color: (k,) 0xRRGGBB, or that of all.
     """
-    number = np.empty((len(first), 7), np.float32)
+    number = np.zeros((len(first), 7), np.float32)
     number[:, :2], number[:, 2:4], number[:, 6] = first, second, width / 2
     return Shapes(number, _what(len(first), paint.STROKE, color))
 
 
-def discs(centre: np.ndarray, radius: np.ndarray, color: np.ndarray | int) -> Shapes:
-    """Discs. centre: (k, 2) pixels, radius: (k,) pixels, color: (k,) 0xRRGGBB, or that of all."""
+def discs(
+    centre: np.ndarray,
+    radius: np.ndarray,
+    color: np.ndarray | int,
+    hidden: np.ndarray | float = 0.0,
+) -> Shapes:
+    """Discs. centre: (k, 2) pixels, radius: (k,) pixels, color: (k,) 0xRRGGBB, or that of all.
+
+    hidden: (k,), the radius of what is painted over their middles, which need not be painted.
+    """
     number = np.empty((len(centre), 7), np.float32)
+    number[:, 4] = hidden
     number[:, :2], number[:, 2:4], number[:, 6] = centre, centre, radius
     return Shapes(number, _what(len(centre), paint.STROKE, color))
 

@@ -45,18 +45,17 @@ class Plane:
         low, high = (np.round(corner - [room.x, room.y]) for corner in window.box())
         box = tuple(int(n) for n in np.clip([*low, *high], 0, [room.width, room.height] * 2))
         if self._painter is None or box != self._box:
-            self._box, self._painter = box, Painter(room, _paper(room, box))
-        self._painter.draw(image, width, self._shapes(picture, bounds, window), again)
+            paper = _paper(room, box, window.walls(bounds.walls))
+            self._box, self._painter = box, Painter(room, paper)
+        self._painter.draw(image, width, self._shapes(picture, window), again)
 
     def refresh(self) -> None:
         """Write all pixels of the next picture."""
         self._painter = None
 
-    def _shapes(self, picture: Picture, bounds: Bounds, window: WindowMap) -> list[Shapes]:
-        """What is painted: walls, solids, surfaces, springs, particles, and the pointer."""
-        walls = window.walls(bounds.walls)
-        wall = style.packed_one(style.WALL)
-        found = [painter.lines(walls[:, 0], walls[:, 1], WALL_WIDTH, wall)]
+    def _shapes(self, picture: Picture, window: WindowMap) -> list[Shapes]:
+        """What is painted: solids, surfaces, springs, particles, and the pointer."""
+        found: list[Shapes] = []
         width = drawing.line_width(self._room.height)
         veil = [] if picture.ghost is None else _ghost(picture.ghost, window, width)
         if picture.ghost is not None and not picture.ghost.over:
@@ -81,8 +80,9 @@ class Plane:
             shown &= picture.as_spheres
         if shown.any():
             place, radius, color = drawing.shown_particles(place, picture, shown)
-            for disc in self._discs(radius, color, window.scale):
-                found.append(painter.discs(place, *disc))
+            rims, discs = self._discs(radius, color, window.scale)
+            found.append(painter.discs(place, *rims, discs[0]))
+            found.append(painter.discs(place, *discs))
         return [*found, *veil, *pointer_shapes(picture.pointer)]
 
 
@@ -96,11 +96,17 @@ def pointer_shapes(drawn: Pointer | None) -> list[Shapes]:
     ]
 
 
-def _paper(room: Rect, box: tuple[int, ...]) -> np.ndarray:
-    """The world's paper, and a darker one beside it: (h, w) int32. box: x0, y0, x1, y1."""
+def _paper(room: Rect, box: tuple[int, ...], walls: np.ndarray) -> np.ndarray:
+    """What stands still: the world's paper, a darker one beside it, and walls; (h, w) int32.
+
+    box: x0, y0, x1, y1 of the world in the room.
+    """
     x0, y0, x1, y1 = box
     under = np.full((room.height, room.width), style.packed_one(style.SURROUND), np.int32)
     under[y0:y1, x0:x1] = style.packed_one(style.WORLD)
+    ends = walls - [room.x, room.y]
+    lines = painter.lines(ends[:, 0], ends[:, 1], WALL_WIDTH, style.packed_one(style.WALL))
+    Painter(Rect(0, 0, room.width, room.height)).draw(under.reshape(-1), room.width, [lines])
     return under
 
 

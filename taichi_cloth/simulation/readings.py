@@ -188,7 +188,7 @@ class Readings(Part):
         them might intersect (`scene.spheres.too_near`). 0 proves that none do but neighbours.
         """
         scene = self.storage.scene
-        if not scene.features().thick:
+        if not scene.thick:
             return 0
         whole = scene.triangles[self.storage.triangles_alive()]
         return len(too_near(self.positions(), whole, scene.spheres))
@@ -197,7 +197,7 @@ class Readings(Part):
         """How many pairs of particles of cloths with a thickness began so near, as layers of a
         lining do, that triangles at them can go through each other (`scene.spheres`)."""
         scene = self.storage.scene
-        return len(scene.spheres.unguarded) if scene.features().thick else 0
+        return len(scene.spheres.unguarded) if scene.thick else 0
 
     def unsettled_faces(self) -> int:
         """How many steps ended with a face or an edge in an obstacle, or past where it met it, by

@@ -10,8 +10,8 @@ which something is painted, or was before, are touched.
 Places are pixels, x right, y down, from the corner at the top left. A picture (h * w,) has a row of
 pixels at a time from the top down, as 0xRRGGBB. Shapes are rows of `number` (k, 7) and `what`
 (k, 2). `what` is their kind and their colour, 0xRRGGBB. Of the kind `STROKE` are all places that
-are at most so far from a line: its two ends, two numbers that are not used, and how far; a disc is
-one whose ends are the same. All other kinds are triangles: three corners, and a number that is not
+are at most so far from a line: its two ends, how far from it shapes above hide this one, a number
+that is not used, and how far; a disc is one whose ends are the same. All other kinds are triangles: three corners, and a number that is not
 used; the kind is the sum of 1, 2 and 4 for each of the sides between corners 0 and 1, 1 and 2, and
 2 and 0 that is smooth. One that is not hides what is under it as far as a neighbour may begin.
 """
@@ -73,6 +73,7 @@ def _stroke(frame: ti.template(), number: ti.template(), s, width, color, top, b
     by_size2 = 1.0 / ti.max(along * along + down * down, 1e-12)
     reach = half + DIAGONAL
     whole2 = ti.max(half - DIAGONAL, 0.0) ** 2  # so near, squared, all of a pixel is covered
+    hollow2 = ti.max(number[s, 4] - DIAGONAL, 0.0) ** 2  # and so near it is covered later
     j0 = _first(ti.min(ay, ay + down) - reach, top, bottom)
     j1 = _beyond(ti.max(ay, ay + down) + reach, top, bottom)
     for j in range(j0, j1):
@@ -91,7 +92,9 @@ def _stroke(frame: ti.template(), number: ti.template(), s, width, color, top, b
             part = ti.min(ti.max((x * along + y * down) * by_size2, 0.0), 1.0)
             off_x, off_y = x - part * along, y - part * down
             away2 = off_x * off_x + off_y * off_y
-            if away2 < whole2:
+            if away2 < hollow2:
+                pass
+            elif away2 < whole2:
                 frame[j * width + i] = color
             elif away2 < reach * reach:
                 away = ti.max(ti.sqrt(away2), 1e-3)
