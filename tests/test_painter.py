@@ -1,6 +1,7 @@
 """Flat shapes in a picture: how much of each pixel they cover, and what lies upon what."""
 
 import json
+import os
 import subprocess
 import sys
 import textwrap
@@ -144,29 +145,39 @@ def test_what_is_far_away_costs_nothing_and_harms_nothing():
 
 
 ON_BOTH = """
-    import json
+    import json, sys
     import numpy as np
+    sys.path.insert(0, {tests!r})
     import taichi_cloth as tc
-    away = []
-    for name in ("cloth", "drape"):
-        drawn = {}
-        for arch in ("cpu", "vulkan"):
-            tc.start(arch, "f32")
+    from test_drawing import WORLD, camera
+    from test_raster import random_picture
+    from taichi_cloth.render.renderer import Renderer
+    drawn = {{}}
+    for arch in ("cpu", "vulkan"):
+        tc.start(arch, "f32")
+        for name in ("cloth", "drape"):
             sim = tc.Simulation(tc.scenes.build(name))
-            drawn[arch] = tc.picture(sim, size=(320, 240)).astype(int)
-        away.append([int(np.abs(drawn["cpu"] - drawn["vulkan"]).max()), float(drawn["cpu"].std())])
-    print(json.dumps(away))
+            drawn[name, arch] = tc.picture(sim, size=(320, 240)).astype(int)
+        on, rng, frames = Renderer((120, 100)), np.random.default_rng(7), []
+        for frame in range(12):
+            on.draw(random_picture(rng), WORLD, camera(rot_x=20, rot_y=frame // 6), None, None)
+            code = on.pixels()
+            frames.append(np.stack([(code >> k & 255).astype(int) for k in (16, 8, 0)]))
+        drawn["frames", arch] = np.array(frames)
+    names = "cloth", "drape", "frames"
+    pairs = [(drawn[name, "cpu"], drawn[name, "vulkan"]) for name in names]
+    print(json.dumps([[int(np.abs(a - b).max()), float(a.std())] for a, b in pairs]))
 """
 
 
 @thorough
 @needs_vulkan
 def test_a_graphics_driver_draws_the_same_pictures(tmp_path):
-    """Of a plane and of space. Some drivers have room for 65535 blocks, and no more."""
+    """Of a plane and of space, and of frames of which each leaves alone what has not changed."""
+    program = textwrap.dedent(ON_BOTH.format(tests=os.path.dirname(__file__)))
     done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(ON_BOTH)],
-        cwd=tmp_path, capture_output=True, text=True, timeout=300,
-    )  # fmt: skip
+        [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=300
+    )
     assert done.returncode == 0, done.stderr
     for away, contrast in json.loads(done.stdout.splitlines()[-1]):
         assert away <= 1 and contrast > 10

@@ -113,7 +113,8 @@ class Painter:
         if shapes:
             number = np.concatenate([some.number for some in shapes])
             what = np.concatenate([some.what for some in shapes])
-        needed = self._tiles + -(-len(what) // paint.CHUNK)
+        chunks = -(-len(what) // paint.CHUNK)
+        needed = self._tiles + chunks
         if self._box.shape[0] < needed:
             self._box, self._fresh = on_device(2 * needed, 4), True
         count = np.zeros(paint.COUNTS, np.int32)
@@ -122,6 +123,7 @@ class Painter:
         count[paint.TILE :][:4] = *self._tile, self._across, self._tiles
         count[paint.WIDTH], count[paint.FRESH], count[paint.OVER] = width, self._fresh, self._over
         count[paint.AGAIN :][:4] = again
+        count[paint.CHUNKS] = chunks
         count[paint.WORKERS] = runtime.current_device().threads
         paint.paint(number, what, count, self._box, self._under, image)
         self._fresh = False

@@ -227,7 +227,8 @@ class Rasterizer:
         """Have what lies behind everything: a floor, or none. background: 0xRRGGBB."""
         numbers = NO_NUMBERS if floor is None else floor.numbers()
         looked = np.array([lens.focal, *lens.middle], np.float32)
-        raster.lay(background, numbers, looked, self.width, self.height, self._under)
+        w, h = self.width, self.height
+        raster.lay(background, numbers, looked, w, h, h * raster.ROWS, self._under)
         self.fresh = True
 
     def stand(self, things: Things, lens: Lens) -> None:

@@ -9,11 +9,13 @@ which something is painted, or was before, are touched.
 
 Places are pixels, x right, y down, from the corner at the top left. A picture (h * w,) has a row of
 pixels at a time from the top down, as 0xRRGGBB. Shapes are rows of `number` (k, 7) and `what`
-(k, 2). `what` is their kind and their colour, 0xRRGGBB. Of the kind `STROKE` are all places that
-are at most so far from a line: its two ends, how far from it shapes above hide this one, a number
-that is not used, and how far; a disc is one whose ends are the same. All other kinds are triangles: three corners, and a number that is not
-used; the kind is the sum of 1, 2 and 4 for each of the sides between corners 0 and 1, 1 and 2, and
-2 and 0 that is smooth. One that is not hides what is under it as far as a neighbour may begin.
+(k, 2). `what` is their kind and their colour, 0xRRGGBB.
+
+Of the kind `STROKE` are all places that are at most so far from a line. Its numbers: two ends, how
+far from it shapes above hide this one, one that is not used, and how far. A disc is one whose ends
+are the same. All other kinds are triangles: three corners, and a number that is not used. The kind
+is the sum of 1, 2 and 4 for each of the sides between corners 0 and 1, 1 and 2, and 2 and 0 that is
+smooth. One that is not hides what is under it as far as a neighbour may begin.
 """
 
 import taichi as ti
@@ -29,8 +31,9 @@ PIECE = 512  # iterations of a loop that Taichi gives a CPU's thread at a time, 
 ABSENT = 1 << 28  # no pixel is so far away
 # Of `count`: the room's left, top, width, height; a tile's rows and columns, tiles across, tiles;
 # the picture's width; whether all is painted anew, and whether what lies behind is there to stay;
-# the columns and rows to paint anew, from, to, from, to; the next tile; threads.
-ROOM, TILE, WIDTH, FRESH, OVER, AGAIN, NEXT, WORKERS, COUNTS = 0, 4, 8, 9, 10, 11, 15, 16, 17
+# the columns and rows to paint anew, from, to, from, to; the next tile; threads; chunks.
+ROOM, TILE, WIDTH, FRESH, OVER, AGAIN, NEXT, WORKERS, CHUNKS = 0, 4, 8, 9, 10, 11, 15, 16, 17
+COUNTS = 18
 
 image = ti.types.ndarray(dtype=ti.i32, ndim=2)
 row = ti.types.ndarray(dtype=ti.i32, ndim=1)
@@ -195,8 +198,8 @@ def paint(number: rows, what: indices, count: row, box: image, under: row, frame
     under: (h * w,), that of the room. box: (, 4), one row a tile: the columns painted last, from
     and to; then one row a chunk of shapes. count: as `painter.py` fills it in.
     """
-    tiles = count[TILE + 3]
-    for c in range((what.shape[0] + CHUNK - 1) // CHUNK):
+    for c in range(count[CHUNKS]):
+        tiles = count[TILE + 3]
         low_x, high_x, low_y, high_y = 1e9, -1e9, 1e9, -1e9
         for s in range(c * CHUNK, ti.min((c + 1) * CHUNK, what.shape[0])):
             reach = 1.0
@@ -231,7 +234,7 @@ def paint(number: rows, what: indices, count: row, box: image, under: row, frame
         for worker in range(count[WORKERS] * PIECE):
             if worker % PIECE == 0:
                 tile = ti.atomic_add(count[NEXT], 1)
-                while tile < tiles:
+                while tile < count[TILE + 3]:
                     _tile(tile, number, what, count, box, under, frame)
                     tile = ti.atomic_add(count[NEXT], 1)
     else:

@@ -817,14 +817,22 @@ def _lay_row(j, w, h, background, floor: ti.template(), lens: ti.template(), und
 
 
 @kernel
-def lay(background: ti.i32, floor: numbers, lens: numbers, w: ti.i32, h: ti.i32, under: row):
+def lay(
+    background: ti.i32,
+    floor: numbers,
+    lens: numbers,
+    w: ti.i32,
+    h: ti.i32,
+    iterations: ti.i32,
+    under: row,
+):
     """Fill in what lies behind everything: a floor of tiles that fades out, or one colour.
 
     lens: (3,), pixels per unit of slope, the pixel (x, y) looked at. floor: () for none, else
     (22,): how far the eye is above it; its unit normal and its two axes; where the eye is along
     these, and where the middle of what is looked at; the side of a tile, and the distance from the
-    middle at which the floor ends; then the colours of both kinds of tile.
+    middle at which the floor ends; then the colours of both kinds of tile. iterations: h * ROWS.
     """
-    for j in range(h * ROWS):
+    for j in range(iterations):
         if j % ROWS == 0:
             _lay_row(j // ROWS, w, h, background, floor, lens, under)
