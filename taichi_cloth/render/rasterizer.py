@@ -289,7 +289,7 @@ class Rasterizer:
         self._kinds = tuple(a or b for a, b in zip(self._kinds, there, strict=True))
         raster.see(
             self._kinds, things.place, things.normal, things.side, things.corner, things.ball,
-            things.line, number, count, self._vertex, self._plane, self._globe, self._box,
+            things.line, number, count, self._vertex, self._globe, self._box,
         )  # fmt: skip
         for layer in range(2 if things.veil != Group() else 1):
             count[raster.NEXT :][:2] = 0

@@ -30,6 +30,7 @@ IN_A_TILE = 8  # cells along a tile's side
 DARKEST = 0.72  # part of the floor's light that a sky has
 FAINT = 0.025  # of what is lacking: nobody sees it, and it would be wide
 CLOSED = 0.5  # share of a closed surface, which is above a point twice
+MOST = 20_000  # triangles that are looked at, of more some
 
 
 class Shadows:
@@ -63,7 +64,9 @@ def gathered(things: Things, share: float, where: tuple[float, ...]) -> np.ndarr
     a cell's side [world], and 1 where y points up, else -1.
     """
     grid = on_device(LAYERS * (CELLS + 1) ** 2)
-    gather(things.place, things.corner, things.ball, share, np.array(where, np.float32), grid)
+    some = max(1, -(-len(things.corner) // MOST))
+    corner, numbers = np.ascontiguousarray(things.corner[::some]), np.array(where, np.float32)
+    gather(things.place, corner, things.ball, some * share, share, numbers, grid)
     found = grid if isinstance(grid, np.ndarray) else grid.to_numpy()
     in_cells: np.ndarray = found.reshape(LAYERS, CELLS + 1, CELLS + 1) / ONE
     return in_cells

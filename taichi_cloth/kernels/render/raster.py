@@ -258,8 +258,9 @@ def _keep(near: ti.template(), at, names, z, s):
 
 @ti.func
 def _triangle(
-    s, w, names, x0, x1, y0, y1, corner: ti.template(), vertex: ti.template(), near: ti.template()
-):
+    s, w, names, x0, x1, y0, y1, corner: ti.template(), vertex: ti.template(),
+    plane: ti.template(), near: ti.template(),
+):  # fmt: skip
     """Put a triangle into the pixels from x0 to before x1 and from y0 to before y1.
 
     w: of the room. names: from a pixel's depth to its name in `near`.
@@ -286,6 +287,7 @@ def _triangle(
             low_x = ti.select(over, x[m], x[k])
             low_y[k] = ti.select(over, y[m], y[k])
             way[k] = (low_x - top_x[k]) / ti.max(low_y[k] - top_y[k], 1e-12)
+        covers = False
         for j in range(j0, j1):
             middle = j + 0.5
             low, high = 1e9, -1e9
@@ -295,8 +297,13 @@ def _triangle(
                 low = ti.select(meets, ti.min(low, at), low)
                 high = ti.select(meets, ti.max(high, at), high)
             depth = z[0] + (middle - y[0]) * z_y + (0.5 - x[0]) * z_x
-            for i in range(_first(low, i0, i1), _first(high, i0, i1)):
-                _keep(near, (j + 1) * (w + 2) + i + 1, names, depth + i * z_x, 4 * s + TRIANGLE)
+            first, last = _first(low, i0, i1), _first(high, i0, i1)
+            covers = covers or first < last
+            for i in range(first, last):
+                at = (j + 1) * (w + 2) + i + 1
+                _keep(near, at, names, depth + i * z_x, 4 * s + TRIANGLE)
+        if covers:  # other tiles do the same
+            _fill_plane(s, corner, vertex, plane)
 
 
 @ti.func
@@ -456,7 +463,8 @@ def _differ(a, b):
 def _put(
     kinds: ti.template(), layer, names, i0, i1, j0, j1, tiles, corner: ti.template(),
     ball: ti.template(), line: ti.template(), number: ti.template(), count: ti.template(),
-    vertex: ti.template(), globe: ti.template(), box: ti.template(), near: ti.template(),
+    vertex: ti.template(), plane: ti.template(), globe: ti.template(), box: ti.template(),
+    near: ti.template(),
 ):  # fmt: skip
     """Put all things of a layer into the pixels of a tile."""
     for kind in ti.static(range(KINDS)):
@@ -468,7 +476,7 @@ def _put(
                 if box[k, 2] < j1 and box[k, 3] > j0 and box[k, 0] < i1 and box[k, 1] > i0:
                     for s in range(begin + c * CHUNK, ti.min(begin + (c + 1) * CHUNK, end)):
                         if ti.static(kind == TRIANGLE):
-                            _triangle(s, w, names, i0, i1, j0, j1, corner, vertex, near)
+                            _triangle(s, w, names, i0, i1, j0, j1, corner, vertex, plane, near)
                         elif ti.static(kind == BALL):
                             _ball(s, w, names, i0, i1, j0, j1, ball, number, vertex, globe, near)
                         else:
@@ -522,7 +530,7 @@ def _tile(
             near[names + here + i] = -1
     _put(
         kinds, layer, names, i0, i1, j0, j1, tiles, corner, ball, line, number, count, vertex,
-        globe, box, near,
+        plane, globe, box, near,
     )  # fmt: skip
     for j in range(j0, j1):
         to, back = (count[ROOM + 1] + j) * count[WIDTH] + count[ROOM], (base + h + j) * w
@@ -673,7 +681,6 @@ def see(
     number: numbers,
     count: row,
     vertex: row,
-    plane: numbers,
     globe: numbers,
     box: image,
 ):
@@ -694,10 +701,7 @@ def see(
         first = count[group] + (c - count[group + 2]) * CHUNK
         x_low, x_high, y_low, y_high = 1e9, -1e9, 1e9, -1e9
         for s in range(first, ti.min(first + CHUNK, count[group + 1])):
-            if kind == TRIANGLE:
-                if ti.static(kinds[TRIANGLE]):
-                    _fill_plane(s, corner, vertex, plane)
-            elif kind == BALL:
+            if kind == BALL:
                 if ti.static(kinds[BALL]):
                     _fill_globe(s, x, ball, number, globe)
             own = _bound(kind, s, layer, corner, ball, line, number, vertex, globe)

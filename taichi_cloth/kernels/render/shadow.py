@@ -55,8 +55,16 @@ def _cells(place: ti.template(), v, where: ti.template()):
 
 
 @kernel
-def gather(place: rows, corner: indices, ball: indices, share: ti.f32, where: numbers, grid: row):
-    """Add the projections of triangles and balls, a share of each, to a grid of all layers.
+def gather(
+    place: rows,
+    corner: indices,
+    ball: indices,
+    share: ti.f32,
+    of_balls: ti.f32,
+    where: numbers,
+    grid: row,
+):
+    """Add the projections of triangles and balls, a share of each kind, to a grid of all layers.
 
     place: (n, 3) [world]. corner: (m, 3), vertices. ball: (k, 3), as `raster.py` has them.
     where: as `_cells` takes it. grid: (layers * (cells + 1)^2,).
@@ -85,5 +93,5 @@ def gather(place: rows, corner: indices, ball: indices, share: ti.f32, where: nu
         radius = ti.bit_cast(ball[k, 2], ti.f32) / where[3]
         for part in range(DISC):
             away, turn = radius * ti.sqrt((part + 0.5) / DISC), TURN * part
-            area = share * 3.141592653589793 * radius * radius / DISC
+            area = of_balls * 3.141592653589793 * radius * radius / DISC
             _add(area, at[0] + away * ti.cos(turn), at[2] + away * ti.sin(turn), at[1], grid)
