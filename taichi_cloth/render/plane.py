@@ -49,10 +49,6 @@ class Plane:
             self._box, self._painter = box, Painter(room, paper)
         self._painter.draw(image, width, self._shapes(picture, window), again)
 
-    def refresh(self) -> None:
-        """Write all pixels of the next picture."""
-        self._painter = None
-
     def _shapes(self, picture: Picture, window: WindowMap) -> list[Shapes]:
         """What is painted: solids, surfaces, springs, particles, and the pointer."""
         found: list[Shapes] = []

@@ -33,9 +33,13 @@ class Space:
         self._corners, self._lines, self._balls = Cached(_corners), Cached(_lines), Cached(_balls)
         self._topologies = Cached(Topology.build), Cached(Topology.build), Cached(Topology.build)
         self._solid_corners, self._of_solid = Cached(_corners), Cached(self._made_of_solid)
+        self._looks: tuple[Any, ...] | None = None  # from where it is seen
+        self._lens: Lens
+        self._floor: Floor | None
         self._seen: tuple[Any, ...] | None = None  # from where, and what stands there
         self._solids: np.ndarray | None = None  # the vertices of obstacles in the frame before
         self._shadows = Shadows()
+        self._kept: tuple[Any, ...] = ()
         self._moving = 0  # frames for which they are drawn anew
 
     def draw(
@@ -53,17 +57,12 @@ class Space:
         window: where the world is in it. again: columns and rows of the room, from and to, in which
         something else was drawn meanwhile.
         """
-        x, y = window.to_window(camera.middle) - [self._room.x, self._room.y]
-        lens = Lens(
-            camera.eye,
-            camera.rotation(),
-            camera.focal_length * window.scale,
-            (float(x), float(y)),
-            camera.nearest_drawn,
-            _lights(2 if picture.has_surfaces else 1),
-            style.SHEEN,
-        )
-        floor = _floor(picture, camera)
+        pose = *camera.pose, camera.focal_length, camera.radius, camera.y_up
+        seen = pose, window, picture.has_surfaces, picture.ground
+        if seen != self._looks:
+            self._looks = seen
+            self._lens, self._floor = self._look(picture, camera, window), _floor(picture, camera)
+        lens, floor = self._lens, self._floor
         self._stand(picture, bounds, camera, lens, floor)
         cloth = self._cloth(picture, lens, camera.distance)
         solids = None if picture.solids is None else self._solid(picture.solids)
@@ -77,9 +76,18 @@ class Space:
             again,
         )  # fmt: skip
 
-    def refresh(self) -> None:
-        """Write all pixels of the next picture."""
-        self._rasterizer.fresh = True
+    def _look(self, picture: Picture, camera: Camera, window: WindowMap) -> Lens:
+        """What the eye sees."""
+        x, y = window.to_window(camera.middle) - [self._room.x, self._room.y]
+        return Lens(
+            camera.eye,
+            camera.rotation(),
+            camera.focal_length * window.scale,
+            (float(x), float(y)),
+            camera.nearest_drawn,
+            _lights(2 if picture.has_surfaces else 1),
+            style.SHEEN,
+        )
 
     def _stand(
         self, picture: Picture, bounds: Bounds, camera: Camera, lens: Lens, floor: Floor | None
@@ -92,11 +100,10 @@ class Space:
             self._solids = vertex
         self._moving = max(self._moving - 1, 0)
         standing = solids is not None and not self._moving
-        pose = (*camera.pose, camera.focal_length, lens.focal, *lens.middle, picture.has_surfaces)
-        seen = (pose, picture.ground, id(bounds), id(vertex) if standing else None)
+        seen = (self._looks, id(bounds), id(vertex) if standing else None)
         if seen == self._seen:
             return
-        self._seen = seen
+        self._seen, self._kept = seen, (bounds, vertex)  # so that no others get their places
         self._rasterizer.lay(style.packed_one(style.WORLD), floor, lens)
         things = [self._scenery(bounds, camera)]
         if standing and solids is not None:
