@@ -199,6 +199,17 @@ def test_what_has_no_floor_floats_in_no_void(name):
     assert depiction._ground(library.build("cloth")) is None
 
 
+@pytest.mark.parametrize("up", [1.0, -1.0])
+@pytest.mark.parametrize("height", [0.5, 5.0])
+def test_what_lies_level_has_its_colour_above(up, height):
+    """Also a sheet that begins above the eye: it is seen from above once it has fallen."""
+    flat = np.array([[0.0, 0, 0], [1, 0, 0], [1, 0, -1], [0, 0, -1]]) + [0, up * height, 0]
+    rises = np.array([[0, 1, 2], [0, 2, 3]])  # counterclockwise seen from +y
+    eye = np.array([0.5, up * 2.0, 4.0])
+    for faces, turned in ((rises, up < 0), (rises[:, ::-1], up > 0)):
+        assert (shown.turned_away(eye, flat, faces, up) == turned).all()
+
+
 def test_closed_bodies_are_drawn_as_they_are():
     vertex, triangles = icosphere(2)
     both = np.concatenate([triangles, triangles[:, ::-1] + len(vertex)])

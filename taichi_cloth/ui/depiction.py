@@ -119,7 +119,10 @@ class Depiction:
         They are drawn the other way round, so that one sees the colour that was asked for.
         """
         camera, position = camera_of(self._sim.scene), self._sim.storage.scene.particles.position
-        return shown.turned_away(camera.eye, position, triangles) if camera else np.zeros(0, bool)
+        if camera is None:
+            return np.zeros(0, bool)
+        up = 1.0 if camera.y_up else -1.0
+        return shown.turned_away(camera.eye, position, triangles, up)
 
     def legends(self) -> list[Meanings]:
         """What the colours mean, where they mean anything."""

@@ -18,6 +18,7 @@ CHOICES = (
 )
 NONE = np.zeros((0, 3), np.int64)
 TURNED = 0.5  # share by which more of a surface is seen from behind than from before
+LEVEL = 0.8  # share of a surface that looks up, or down, where it lies level
 
 
 def default_for(scene: Scene) -> frozenset[str]:
@@ -72,13 +73,16 @@ def chosen(
     return seen, segments, as_spheres
 
 
-def turned_away(eye: np.ndarray, position: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+def turned_away(
+    eye: np.ndarray, position: np.ndarray, triangles: np.ndarray, up: float = 1.0
+) -> np.ndarray:
     """Which particles are in surfaces that turn their back to an eye (3,), (n,) bool.
 
     Surfaces are what triangles join. More than half of what is seen of one must be its back: closed
-    bodies, of which half is seen from either side, keep theirs.
+    bodies, of which half is seen from either side, keep theirs. One that lies level is seen from
+    above once it has fallen: it is turned where its back is up.
 
-    position: (n, 3). triangles: (m, 3) int.
+    position: (n, 3). triangles: (m, 3) int. up: 1 where y points up, else -1.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -93,7 +97,11 @@ def turned_away(eye: np.ndarray, position: np.ndarray, triangles: np.ndarray) ->
     away = np.einsum("ij,ij->i", normal, way) / np.linalg.norm(way, axis=1) ** 3
     of = surface[triangles[:, 0]]
     whole = np.bincount(of, np.abs(away), count)
-    turned: np.ndarray = (np.bincount(of, away, count) > TURNED * whole)[surface]
+    behind = np.bincount(of, away, count) > TURNED * whole
+    area = np.linalg.norm(normal, axis=1)
+    risen = np.bincount(of, up * normal[:, 1], count)
+    level = np.abs(risen) > LEVEL * np.bincount(of, area, count)
+    turned: np.ndarray = np.where(level, risen < 0, behind)[surface]
     return turned
 
 
