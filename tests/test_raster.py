@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from taichi_cloth.kernels.render import raster
-from taichi_cloth.render import rasterizer, style
+from taichi_cloth.render import rasterizer, space, style
 from taichi_cloth.render.picture import Ghost, Rect
 from taichi_cloth.render.pointer import Pointer
 from taichi_cloth.render.rasterizer import Group, Lens, Rasterizer, Things
@@ -48,7 +48,9 @@ def scattered(seed, triangles=14, balls=5, lines=6):
     normal = np.tile(np.array([0, 0, -1], np.float32), (3 * triangles, 1))
     group = Group(triangles, balls, lines, width=2.6, lift=0.02)
     side = np.stack([side, side], axis=1).astype(np.int32)
-    return Things(place.astype(np.float32), normal, side, corner, ball, line, group)
+    return Things(
+        place.astype(np.float32), normal, side, corner, np.full_like(corner, -1), ball, line, group
+    )
 
 
 def drawn(things, lens, on=None):
@@ -183,7 +185,8 @@ def test_veils_are_half_there_before_what_is_firm_and_hidden_behind_it():
     side = np.stack([codes, codes], axis=1)
     normal = np.tile(np.array([0, 0, -1], np.float32), (18, 1))
     corner = np.arange(18, dtype=np.int32).reshape(-1, 3)
-    things = Things(place, normal, side, corner, firm=Group(2), veil=Group(4))
+    beside = np.full_like(corner, -1)
+    things = Things(place, normal, side, corner, beside, firm=Group(2), veil=Group(4))
     seen = channels(drawn(things, flat_lens()))
     row = seen[int(MIDDLE[1])]
 
@@ -194,6 +197,32 @@ def test_veils_are_half_there_before_what_is_firm_and_hidden_behind_it():
     np.testing.assert_allclose(at(-0.5, 4.0), (firm + veil) / 2, atol=1)
     np.testing.assert_allclose(at(0.5, 5.0), firm, atol=1)
     np.testing.assert_allclose(at(-1.9, 3.0), (paper + veil) / 2, atol=1)
+
+
+def test_slivers_at_a_silhouette_are_seen_by_what_is_beside_them():
+    """A thin pole of many sides, beside the mean of four samples of all of its triangles."""
+    turn = np.linspace(0, 2 * np.pi, 61)[:-1]
+    ring = np.stack([0.3 * np.cos(turn), 0 * turn, 5 + 0.3 * np.sin(turn)], axis=1)
+    place = np.concatenate([ring + [0.11, -2.0, 0], ring + [0.42, 2.0, 0]]).astype(np.float32)
+    a, b = np.arange(60), np.roll(np.arange(60), -1)
+    corner = np.concatenate([np.stack([a, b, b + 60], 1), np.stack([a, b + 60, a + 60], 1)])
+    corner, beside = space._corners(corner)
+    assert (beside >= 0).sum() == 3 * 120 - 120  # both ends are open
+    side = np.full((120, 2), 0xE0E0E0, np.int32)
+    normal = np.tile(np.array([0, 0, -1], np.float32), (120, 1))
+    things = Things(place, normal, side, corner, beside, firm=Group(120))
+    v, u = np.mgrid[: 2 * H, : 2 * W] / 2 + 0.25
+    covered = np.max([depth_of(things, 4 * s, u, v) for s in range(120)], axis=0) > 0
+    share = covered.reshape(H, 2, W, 2).mean(axis=(1, 3))[..., None]
+    expected = share * channels(0xE0E0E0) + (1 - share) * channels(PAPER)
+
+    def wrong(things):
+        differ = np.abs(channels(drawn(things, flat_lens())) - expected).max(axis=2)
+        return (differ > 8).sum()
+
+    edges = ((share > 0) & (share < 1)).sum()
+    alone = replace(things, beside=np.full_like(beside, -1))
+    assert edges > 50 and wrong(things) < 0.05 * edges < wrong(alone)
 
 
 def random_picture(rng, count=60):

@@ -72,13 +72,15 @@ class Things:
 
     place: (n, 3) float32 [world]. normal: (k, 3) float32, of the first k vertices, which surfaces
     have, and side: (k, 2) int32, the colours of both their sides. corner: (m, 3), ball: (b, 3),
-    line: (l, 3) int32. firm: the first of these; veil: the rest, through which one sees.
+    line: (l, 3) int32. beside: (m, 3) int32, the triangles that share a triangle's sides, -1 where
+    none does. firm: the first of these; veil: the rest, through which one sees.
     """
 
     place: np.ndarray = field(default_factory=NO_ROWS.copy)
     normal: np.ndarray = field(default_factory=NO_ROWS.copy)
     side: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.int32))
     corner: np.ndarray = field(default_factory=NO_INDICES.copy)
+    beside: np.ndarray = field(default_factory=NO_INDICES.copy)
     ball: np.ndarray = field(default_factory=NO_INDICES.copy)
     line: np.ndarray = field(default_factory=NO_INDICES.copy)
     firm: Group = Group()
@@ -294,9 +296,9 @@ class Rasterizer:
         for layer in range(2 if things.veil != Group() else 1):
             count[raster.NEXT :][:2] = 0
             raster.draw(
-                self._kinds, layer, things.corner, things.ball, things.line, number, count,
-                self._vertex, self._plane, self._globe, self._box, self._near, self._under, dark,
-                image,
+                self._kinds, layer, things.corner, things.beside, things.ball, things.line, number,
+                count, self._vertex, self._plane, self._globe, self._box, self._near, self._under,
+                dark, image,
             )  # fmt: skip
 
     def _count(self, count: np.ndarray, things: Things) -> int:

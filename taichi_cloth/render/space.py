@@ -17,6 +17,7 @@ from taichi_cloth.render.surfaces import Topology
 from taichi_cloth.render.window_map import WindowMap
 
 EDGE_PARTS = 16  # of the world's edges: a line stays one where its end is behind us
+MOST = 50_000  # triangles of which is known what lies beside them
 MOVES = 20  # frames for which obstacles that moved are drawn anew in each
 
 
@@ -33,6 +34,7 @@ class Space:
         self._corners, self._lines, self._balls = Cached(_corners), Cached(_lines), Cached(_balls)
         self._topologies = Cached(Topology.build), Cached(Topology.build), Cached(Topology.build)
         self._solid_corners, self._of_solid = Cached(_corners), Cached(self._made_of_solid)
+        self._ghost_corners = Cached(_corners)
         self._looks: tuple[Any, ...] | None = None  # from where it is seen
         self._lens: Lens
         self._floor: Floor | None
@@ -114,9 +116,9 @@ class Space:
         """Surfaces, springs and particles. distance: from the eye to what it looks at."""
         place = np.asarray(picture.position, np.float32)
         none = Things()
-        normal, side, corner = none.normal, none.side, none.corner
+        normal, side, corner, beside = none.normal, none.side, none.corner, none.beside
         if len(picture.triangles):
-            corner = self._corners(picture.triangles)
+            corner, beside = self._corners(picture.triangles)
             side = self._sides(picture.color_in_surfaces)
             given = picture.normals
             if given is None:
@@ -131,7 +133,7 @@ class Space:
             wide = drawing.spring_width_on(picture, picture.segments, pixels, self._height)
             lift = drawing.LIFTED if len(corner) else 0.0
         firm = Group(len(corner), len(ball), len(line), wide, lift)
-        return Things(place, normal, side, corner, ball, line, firm)
+        return Things(place, normal, side, corner, beside, ball, line, firm)
 
     def _ghost(self, ghost: Ghost, lens: Lens) -> Things:
         """A ghost, a little behind where it is."""
@@ -149,10 +151,10 @@ class Space:
         color = np.tile(np.array(style.GHOST, np.uint8), (len(place), 1))
         line = _lines(ghost.segments, color, style.GHOST)
         ball = _balls(ghost.as_spheres, ghost.radius, color)
-        corner = np.ascontiguousarray(ghost.triangles, np.int32)
+        corner, beside = self._ghost_corners(ghost.triangles)
         wide = drawing.spring_width(self._height)
         group = Group(len(corner), len(ball), len(line), wide, -drawing.LIFTED)
-        return Things(place, normal, side, corner, ball, line, group)
+        return Things(place, normal, side, corner, beside, ball, line, group)
 
     def _solid(self, solids: Solid) -> Things:
         """Obstacles."""
@@ -161,9 +163,9 @@ class Space:
     def _made_of_solid(
         self, vertex: np.ndarray, triangles: np.ndarray, color: np.ndarray
     ) -> Things:
-        place, corner = np.asarray(vertex, np.float32), self._solid_corners(triangles)
+        place, (corner, beside) = np.asarray(vertex, np.float32), self._solid_corners(triangles)
         normal = self._topologies[1](triangles).unit_normals(place)
-        return Things(place, normal, self._flat(color), corner, firm=Group(len(corner)))
+        return Things(place, normal, self._flat(color), corner, beside, firm=Group(len(corner)))
 
     def _scenery(self, bounds: Bounds, camera: Camera) -> Things:
         """The world's edges and axes, cut into parts."""
@@ -192,12 +194,15 @@ def joined(firm: list[Things], veil: list[Things]) -> Things:
         side += [one.side, np.zeros((missing, 2), np.int32)]
     first = np.cumsum([0, *(len(one.place) for one in every)])[:-1]
     none, pairs = Things(), list(zip(every, first.astype(np.int32), strict=True))
+    before = np.cumsum([0, *(len(one.corner) for one in every)])[:-1].astype(np.int32)
+    triangles = list(zip(every, before, strict=True))
     of_ball, of_line = np.array([1, 0, 0], np.int32), np.array([1, 1, 0], np.int32)
     return Things(
         np.concatenate([one.place for one in every]),
         np.concatenate([none.normal, *normal]),
         np.concatenate([none.side, *side]),
         np.concatenate([one.corner + n for one, n in pairs]),
+        np.concatenate([np.where(one.beside < 0, -1, one.beside + n) for one, n in triangles]),
         np.concatenate([one.ball + n * of_ball for one, n in pairs]),
         np.concatenate([one.line + n * of_line for one, n in pairs]),
         _counted(firm),
@@ -264,8 +269,17 @@ def _both(color: np.ndarray) -> np.ndarray:
     return np.repeat(_packed(color)[:, None], 2, axis=1)
 
 
-def _corners(triangles: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(triangles, np.int32)
+def _corners(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles (m, 3) int32, and those that share their sides, -1 where none does."""
+    beside = np.full(triangles.shape, -1, np.int32)
+    if len(triangles) <= MOST:  # more are so small that nobody sees what is missing
+        ends = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2), axis=2)
+        key = ends.reshape(-1, 2).astype(np.int64) @ [1 << 31, 1]
+        order = np.argsort(key, kind="stable")
+        same = np.flatnonzero(key[order[1:]] == key[order[:-1]])
+        one, other = order[same], order[same + 1]
+        beside.reshape(-1)[one], beside.reshape(-1)[other] = other // 3, one // 3
+    return np.ascontiguousarray(triangles, np.int32), beside
 
 
 def _lines(

@@ -3,9 +3,9 @@
 `see` computes where vertices are seen and how they are lit. `draw` finds the nearest thing in the
 middle of each pixel, and its colour. One thread draws a whole tile, and passes over what may touch
 it in a fixed order. Where neighbours then differ, one sees an edge. Such a pixel becomes the mean
-of four samples: each shows what covers it of the things that the pixel and its neighbours show. So
-a picture has the same bits for every number of threads. Pixels in which nothing changed are left
-alone.
+of four samples: each shows what covers it of the surfaces, balls and lines that the pixel and its
+neighbours show. So a picture has the same bits for every number of threads. Pixels in which
+nothing changed are left alone.
 
 Units: places in pixels of the picture's room, x right, y down, from its upper left corner. Depth is
 kept as one over it. Colours are 0xRRGGBB, in `vertex` of ten bits each.
@@ -15,7 +15,7 @@ pixel y, one over the depth (0: not drawn; these three as bits of float32), the 
 front and of its back. `plane` (9 m,): the colour of each triangle's seen side at (0, 0), and how it
 grows right and down. `ball` (k, 3) int32: its vertex, colour, radius as bits of float32; `globe`
 (4 k,): its middle in the camera's axes, and its radius. `line` (l, 3) int32: its two vertices and
-its colour.
+its colour. `beside` (m, 3) int32: the triangles that share a triangle's sides, -1 where none does.
 
 Things are in two layers: what is firm, and veils, through which half of what lies behind is seen.
 They are taken in chunks of `CHUNK`. Of `box` (, 4) int32 the first rows, one for each tile of each
@@ -35,6 +35,7 @@ SEEN = 8  # of 255: by so much neighbours differ where one sees an edge
 EDGE = 1 << 26  # a bit of the colours in `near`: one sees an edge there
 STRIDE = 8  # pixels between two places where the floor's shade is looked up
 PIECE = 512  # iterations of a loop that Taichi gives a CPU's thread at a time, at least
+STEPS = 12  # from triangle to triangle, to a place in a pixel
 ROWS = 8  # iterations for one row of a floor: else a thread had 512 rows of them
 ABSENT = 1 << 28  # no pixel is so far away
 TRIANGLE, BALL, LINE, KINDS = 0, 1, 2, 3
@@ -307,18 +308,41 @@ def _triangle(
 
 
 @ti.func
-def _triangle_depth(s, u, v, corner: ti.template(), vertex: ti.template()):
-    """One over the depth of a triangle at a place of the picture; 0 where it is not."""
-    x, y, z = ti.Vector([0.0] * 3), ti.Vector([0.0] * 3), ti.Vector([0.0] * 3)
-    for k in ti.static(range(3)):
-        p = 5 * corner[s, k]
-        x[k], y[k], z[k] = _real(vertex[p]) - u, _real(vertex[p + 1]) - v, _real(vertex[p + 2])
-    one, two = x[1] * y[2] - y[1] * x[2], x[2] * y[0] - y[2] * x[0]
-    three = x[0] * y[1] - y[0] * x[1]
-    inside = ti.min(one, two, three) >= 0.0 or ti.max(one, two, three) <= 0.0
-    area = one + two + three
-    found = (one * z[0] + two * z[1] + three * z[2]) / ti.select(area != 0.0, area, 1.0)
-    return ti.select(inside and area != 0.0, found, 0.0)
+def _surface_depth(s, u, v, corner: ti.template(), beside: ti.template(), vertex: ti.template()):
+    """One over the depth of a surface at a place of the picture near a triangle; 0 where it ends.
+
+    It goes from triangle to triangle over the side beyond which the place lies, and ends where the
+    surface does, or turns away: slivers at a silhouette cover no pixel's middle.
+    """
+    t, past, found, turned = s, -1, 0.0, 0.0
+    for step in range(STEPS):
+        if t >= 0:
+            x, y, z = ti.Vector([0.0] * 3), ti.Vector([0.0] * 3), ti.Vector([0.0] * 3)
+            for k in ti.static(range(3)):
+                p = 5 * corner[t, k]
+                x[k], y[k] = _real(vertex[p]) - u, _real(vertex[p + 1]) - v
+                z[k] = _real(vertex[p + 2])
+            # How far the place is inside of each side, from corner k to the next.
+            side = ti.Vector([0.0] * 3)
+            for k in ti.static(range(3)):
+                side[k] = x[k] * y[(k + 1) % 3] - y[k] * x[(k + 1) % 3]
+            area = side.sum()
+            way = ti.select(area < 0.0, -1.0, 1.0)
+            if step > 0 and way != turned or area == 0.0 or z.min() <= 0.0:
+                t = -1
+            else:
+                turned, side = way, way * side
+                if side.min() >= 0.0:
+                    found = (side[1] * z[0] + side[2] * z[1] + side[0] * z[2]) * way / area
+                    t = -1
+                else:
+                    worst, over = 0.0, -1
+                    for k in ti.static(range(3)):
+                        other = beside[t, k]
+                        if side[k] < worst and (other != past or step == 0):
+                            worst, over = side[k], other
+                    past, t = t, over
+    return found
 
 
 @ti.func
@@ -596,14 +620,14 @@ def _tile(
 
 @ti.func
 def _depth(
-    kinds: ti.template(), name, u, v, layer, corner: ti.template(), line: ti.template(),
-    number: ti.template(), vertex: ti.template(), globe: ti.template(),
+    kinds: ti.template(), name, u, v, layer, corner: ti.template(), beside: ti.template(),
+    line: ti.template(), number: ti.template(), vertex: ti.template(), globe: ti.template(),
 ):  # fmt: skip
     """One over the depth of a thing at a place of the picture; 0 where it is not."""
     s, kind, found = name >> 2, name & 3, 0.0
     if kind == TRIANGLE:
         if ti.static(kinds[TRIANGLE]):
-            found = _triangle_depth(s, u, v, corner, vertex)
+            found = _surface_depth(s, u, v, corner, beside, vertex)
     elif kind == BALL:
         if ti.static(kinds[BALL]):
             z = _globe_depth(s, u, v, number, globe)
@@ -615,9 +639,10 @@ def _depth(
 
 @ti.func
 def _smooth(
-    kinds: ti.template(), tile, layer, corner: ti.template(), line: ti.template(),
-    number: ti.template(), count: ti.template(), vertex: ti.template(), globe: ti.template(),
-    box: ti.template(), near: ti.template(), under: ti.template(), out: ti.template(),
+    kinds: ti.template(), tile, layer, corner: ti.template(), beside: ti.template(),
+    line: ti.template(), number: ti.template(), count: ti.template(), vertex: ti.template(),
+    globe: ti.template(), box: ti.template(), near: ti.template(), under: ti.template(),
+    out: ti.template(),
 ):  # fmt: skip
     """Smooth the edges in a tile. All neighbours of a pixel that has something are up to date."""
     w, h, tiles = count[ROOM + 2], count[ROOM + 3], count[TILE + 3]
@@ -653,7 +678,7 @@ def _smooth(
                             if other >= 0:
                                 z = _depth(
                                     kinds, other, i + 0.25 + 0.5 * (q & 1),
-                                    j + 0.25 + 0.5 * (q >> 1), layer, corner, line, number,
+                                    j + 0.25 + 0.5 * (q >> 1), layer, corner, beside, line, number,
                                     vertex, globe,
                                 )  # fmt: skip
                             if z > best and (z > 0.0 or other < 0):
@@ -721,6 +746,7 @@ def draw(
     kinds: ti.template(),
     layer: ti.i32,
     corner: image,
+    beside: image,
     ball: image,
     line: image,
     number: numbers,
@@ -757,8 +783,8 @@ def draw(
                 tile = ti.atomic_add(count[NEXT + 1], 1)
                 while tile < count[TILE + 3]:
                     _smooth(
-                        kinds, tile, layer, corner, line, number, count, vertex, globe, box, near,
-                        under, out,
+                        kinds, tile, layer, corner, beside, line, number, count, vertex, globe, box,
+                        near, under, out,
                     )  # fmt: skip
                     tile = ti.atomic_add(count[NEXT + 1], 1)
     else:
@@ -771,8 +797,8 @@ def draw(
         ti.loop_config(block_dim=8)
         for tile in range(count[TILE + 3]):
             _smooth(
-                kinds, tile, layer, corner, line, number, count, vertex, globe, box, near, under,
-                out,
+                kinds, tile, layer, corner, beside, line, number, count, vertex, globe, box, near,
+                under, out,
             )  # fmt: skip
 
 
