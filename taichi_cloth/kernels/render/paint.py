@@ -59,13 +59,10 @@ def _mix(frame: ti.template(), at, color, share):
     if share >= 1.0:
         frame[at] = color
     elif share > 0.0:
-        under = frame[at]
-        mixed = 0
-        for place in ti.static((16, 8, 0)):
-            below, above = (under >> place) & 255, (color >> place) & 255
-            channel = below + share * (above - below) + 0.5
-            mixed += ti.cast(channel, ti.i32) << place
-        frame[at] = mixed
+        under, part = frame[at], ti.cast(share * 256.0 + 0.5, ti.i32)
+        ends = (under & 0xFF00FF) * (256 - part) + (color & 0xFF00FF) * part + 0x800080
+        middle = (under & 0x00FF00) * (256 - part) + (color & 0x00FF00) * part + 0x008000
+        frame[at] = ((ends >> 8) & 0xFF00FF) | ((middle >> 8) & 0x00FF00)
 
 
 @ti.func
@@ -74,6 +71,10 @@ def _stroke(frame: ti.template(), number: ti.template(), s, width, color, top, b
     ax, ay, half = number[s, 0], number[s, 1], number[s, 6]
     along, down = number[s, 2] - ax, number[s, 3] - ay
     by_size2 = 1.0 / ti.max(along * along + down * down, 1e-12)
+    by_size = ti.sqrt(by_size2)
+    aside, upwards = down * by_size, along * by_size  # across the line
+    side = ti.max(ti.abs(aside) + ti.abs(upwards), 1.0)  # how long a pixel is there
+    by_side = 1.0 / side
     reach = half + DIAGONAL
     whole2 = ti.max(half - DIAGONAL, 0.0) ** 2  # so near, squared, all of a pixel is covered
     hollow2 = ti.max(number[s, 4] - DIAGONAL, 0.0) ** 2  # and so near it is covered later
@@ -92,18 +93,24 @@ def _stroke(frame: ti.template(), number: ti.template(), s, width, color, top, b
         i1 = _beyond(ti.max(x0, x1) + reach, left, right)
         for i in range(i0, i1):
             x = i + 0.5 - ax
-            part = ti.min(ti.max((x * along + y * down) * by_size2, 0.0), 1.0)
-            off_x, off_y = x - part * along, y - part * down
-            away2 = off_x * off_x + off_y * off_y
-            if away2 < hollow2:
-                pass
-            elif away2 < whole2:
-                frame[j * width + i] = color
-            elif away2 < reach * reach:
-                away = ti.max(ti.sqrt(away2), 1e-3)
-                long = ti.max((ti.abs(off_x) + ti.abs(off_y)) / away, 1.0)  # 1 to sqrt 2
-                common = ti.min(away + 0.5 * long, half) - ti.max(away - 0.5 * long, -half)
-                _mix(frame, j * width + i, color, common / long)
+            part = (x * along + y * down) * by_size2
+            if part > 0.0 and part < 1.0:  # beside the line, and not at an end
+                away = ti.abs(x * aside - y * upwards)
+                if away < reach:
+                    near, far = away - 0.5 * side, away + 0.5 * side
+                    common = ti.min(far, half) - ti.max(near, -half)
+                    _mix(frame, j * width + i, color, common * by_side)
+            else:
+                part = ti.min(ti.max(part, 0.0), 1.0)
+                off_x, off_y = x - part * along, y - part * down
+                away2 = off_x * off_x + off_y * off_y
+                if away2 >= hollow2 and away2 < whole2:
+                    frame[j * width + i] = color
+                elif away2 >= hollow2 and away2 < reach * reach:
+                    away = ti.max(ti.sqrt(away2), 1e-3)
+                    long = ti.max((ti.abs(off_x) + ti.abs(off_y)) / away, 1.0)  # 1 to sqrt 2
+                    common = ti.min(away + 0.5 * long, half) - ti.max(away - 0.5 * long, -half)
+                    _mix(frame, j * width + i, color, common / long)
 
 
 @ti.func
