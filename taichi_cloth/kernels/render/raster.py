@@ -476,11 +476,11 @@ def _half(a, b):
 
 @ti.func
 def _differ(a, b):
-    """Whether one sees that two colours differ."""
-    found = False
-    for place in ti.static((16, 8, 0)):
-        found = found or ti.abs(((a >> place) & 255) - ((b >> place) & 255)) > SEEN
-    return found
+    """Whether one sees that two colours differ: by more than some `SEEN` in any channel."""
+    # Of each channel SEEN plus the difference has but four bits, if it is small.
+    ends = ((a & 0xFF00FF) - (b & 0xFF00FF) + SEEN * 0x010001) & ti.static(-0x000F0010)
+    middle = ((a & 0x00FF00) - (b & 0x00FF00) + SEEN * 0x000100) & ti.static(-0x1000)
+    return (ends | middle) != 0
 
 
 @ti.func
@@ -559,7 +559,7 @@ def _tile(
     for j in range(j0, j1):
         to, back = (count[ROOM + 1] + j) * count[WIDTH] + count[ROOM], (base + h + j) * w
         lit1, here = 1.0, (j + 1) * (w + 2) + 1
-        past, past_code = -1, 0
+        past_code = 0
         start = first & -STRIDE  # the same blocks, whatever is written
         for block in range(-1, (last - start + STRIDE - 1) // STRIDE):
             # The floor's shade is linear from here to there.
@@ -605,16 +605,15 @@ def _tile(
                     # Neighbours of this tile that one sees to differ.
                     code = code & 0xFFFFFF
                     mark = 0
-                    if name != past and i > first and _differ(code, past_code):
+                    if i > first and _differ(code, past_code):
                         mark = EDGE
                         near[2 * names + at - 1] = near[2 * names + at - 1] | EDGE
-                    past, past_code = name, code
+                    past_code = code
                     if j > j0:
-                        over = at - w - 2
-                        if near[names + over] != name:
-                            if _differ(code, near[2 * names + over] & 0xFFFFFF):
-                                mark = EDGE
-                                near[2 * names + over] = near[2 * names + over] | EDGE
+                        over = 2 * names + at - w - 2
+                        if _differ(code, near[over] & 0xFFFFFF):
+                            mark = EDGE
+                            near[over] = near[over] | EDGE
                     near[2 * names + at] = code | mark
 
 
@@ -653,19 +652,24 @@ def _smooth(
     j1, i1 = ti.min(j0 + count[TILE], h), ti.min(i0 + count[TILE + 1], w)
     for j in range(j0, j1):
         to, here = (count[ROOM + 1] + j) * count[WIDTH] + count[ROOM], (j + 1) * (w + 2) + 1
+        beside_others = j == j0 or j == j1 - 1
         for i in range(box[at, 2], box[at, 3]):
             this = names + here + i
             marked = near[names + this]
             edge = marked & EDGE != 0
-            if j == j0 or j == j1 - 1 or i == i0 or i == i1 - 1:  # beside other tiles
+            if beside_others or i == i0 or i == i1 - 1:
                 for step in ti.static(range(4)):
                     there = this + ti.select(step == 0, -1, ti.select(step == 1, 1, 0))
                     there += ti.select(step == 2, -w - 2, ti.select(step == 3, w + 2, 0))
                     if near[there] != near[this]:
                         code = near[names + there]
-                        edge = edge or (code >= 0 and _differ(marked, code))
+                        edge = edge or (code >= 0 and _differ(marked & 0xFFFFFF, code & 0xFFFFFF))
+            name = near[this]
             if edge:
-                name, code = near[this], marked & 0xFFFFFF
+                edge = near[this - 1] != name or near[this + 1] != name
+                edge = edge or near[this - w - 2] != name or near[this + w + 2] != name
+            if edge:
+                code = marked & 0xFFFFFF
                 total = ti.Vector([0, 0, 0])
                 for q in range(4):
                     best, shown, past = -1.0, code, -2
@@ -675,7 +679,8 @@ def _smooth(
                         other, z = near[there], 0.0
                         if (n == 0 or other != name) and other != past:
                             past = other
-                            if other >= 0:
+                            # What lies behind what is there already need not be looked at.
+                            if other >= 0 and (best <= 0.0 or _real(near[there - names]) > best):
                                 z = _depth(
                                     kinds, other, i + 0.25 + 0.5 * (q & 1),
                                     j + 0.25 + 0.5 * (q >> 1), layer, corner, beside, line, number,
