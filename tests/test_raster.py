@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from taichi_cloth.kernels.render import raster
-from taichi_cloth.render import rasterizer, space, style
+from taichi_cloth.render import painter, rasterizer, space, style
 from taichi_cloth.render.picture import Ghost, Rect
 from taichi_cloth.render.pointer import Pointer
 from taichi_cloth.render.rasterizer import Group, Lens, Rasterizer, Things
@@ -163,12 +163,12 @@ def test_pixels_show_what_is_nearest_and_edges_the_mean_of_four_samples(seed):
     assert len(np.unique(expected.reshape(-1, 3), axis=0)) > 50
 
 
-@pytest.mark.parametrize("rows", [3, 16, 70])
+@pytest.mark.parametrize("tile", [(3, W), (70, W), (8, 8), (5, 13)])
 @pytest.mark.parametrize("threads", [1, 2, 5])
-def test_a_picture_has_the_same_bits_for_all_tiles_and_threads(rows, threads, monkeypatch):
+def test_a_picture_has_the_same_bits_for_all_tiles_and_threads(tile, threads, monkeypatch):
     things, lens = scattered(3), flat_lens()
     first = drawn(things, lens)
-    monkeypatch.setattr(rasterizer, "ROWS", rows)
+    monkeypatch.setattr(rasterizer, "tile_of", lambda width: tile)
     device = SimpleNamespace(arch="cpu", threads=threads)
     monkeypatch.setattr(rasterizer, "runtime", SimpleNamespace(current_device=lambda: device))
     np.testing.assert_array_equal(drawn(things, lens), first)
@@ -257,8 +257,12 @@ TILES = [Tile(np.full((9 + 7 * k, 40 - 9 * k, 3), 60 * k, np.uint8)) for k in ra
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_what_was_left_alone_is_as_in_a_picture_drawn_afresh(dim):
+@pytest.mark.parametrize("tile", [None, (8, 8)])
+def test_what_was_left_alone_is_as_in_a_picture_drawn_afresh(dim, tile, monkeypatch):
     """Whatever moved, lay over the world, and was pointed at in the frames before."""
+    if tile:  # as on a graphics card
+        monkeypatch.setattr(rasterizer, "tile_of", lambda width: tile)
+        monkeypatch.setattr(painter, "tile_of", lambda width: tile)
     from test_drawing import WORLD, camera
 
     rng, size, room = np.random.default_rng(7), (120, 100), Rect(4, 6, 110, 90)

@@ -214,7 +214,7 @@ class Rasterizer:
         self._rows = -(-height // tall)
         self._tiles = self._across * self._rows
         self._under = on_device(4 * width * height)
-        self._near = on_device(3 * (width + 2) * (height + 2))
+        self._near = on_device(3 * (width + 2) * (height + 2) + 2 * self._tiles * tall)
         self._near.fill(-1)
         self._box = self._boxes(64)
         self._vertex, self._plane = on_device(5), on_device(9, real=True)

@@ -250,6 +250,30 @@ def _fill_plane(s, corner: ti.template(), vertex: ti.template(), plane: ti.templ
 
 
 @ti.func
+def _widen(near: ti.template(), span, first, last):
+    """Note that pixels of a row from `first` to before `last` have something. span: the row's."""
+    if first < last:
+        near[span], near[span + 1] = ti.min(near[span], first), ti.max(near[span + 1], last)
+
+
+@ti.func
+def _span(near: ti.template(), spans, across, j, tall, low, high):
+    """The columns, from and to, in which row j of a tile, or one beside it, has something.
+
+    spans: of the tile's rows. across: tiles in a row of them. low, high: of the whole tile, where
+    its rows say nothing of those of other tiles.
+    """
+    first, last = low, high
+    if across == 1 and j > 0 and j < tall - 1:
+        first, last = high, low
+        for k in ti.static(range(-1, 2)):
+            at = spans + 2 * (j + k)
+            first, last = ti.min(first, near[at] - 1), ti.max(last, near[at + 1] + 1)
+        first, last = ti.max(first, low), ti.min(last, high)
+    return first, ti.max(first, last)
+
+
+@ti.func
 def _keep(near: ti.template(), at, names, z, s):
     """Keep a thing in a pixel, if it is the nearest there so far. names: from there to its name."""
     if z > _real(near[at]):
@@ -259,12 +283,12 @@ def _keep(near: ti.template(), at, names, z, s):
 
 @ti.func
 def _triangle(
-    s, w, names, x0, x1, y0, y1, corner: ti.template(), vertex: ti.template(),
+    s, w, names, spans, x0, x1, y0, y1, corner: ti.template(), vertex: ti.template(),
     plane: ti.template(), near: ti.template(),
 ):  # fmt: skip
     """Put a triangle into the pixels from x0 to before x1 and from y0 to before y1.
 
-    w: of the room. names: from a pixel's depth to its name in `near`.
+    w: of the room. names: from a pixel's depth to its name in `near`. spans: of the tile's rows.
     """
     x, y, z = ti.Vector([0.0] * 3), ti.Vector([0.0] * 3), ti.Vector([0.0] * 3)
     for k in ti.static(range(3)):
@@ -300,6 +324,7 @@ def _triangle(
             depth = z[0] + (middle - y[0]) * z_y + (0.5 - x[0]) * z_x
             first, last = _first(low, i0, i1), _first(high, i0, i1)
             covers = covers or first < last
+            _widen(near, spans + 2 * (j - y0), first, last)
             for i in range(first, last):
                 at = (j + 1) * (w + 2) + i + 1
                 _keep(near, at, names, depth + i * z_x, 4 * s + TRIANGLE)
@@ -347,7 +372,7 @@ def _surface_depth(s, u, v, corner: ti.template(), beside: ti.template(), vertex
 
 @ti.func
 def _ball(
-    s, w, names, x0, x1, y0, y1, ball: ti.template(), number: ti.template(),
+    s, w, names, spans, x0, x1, y0, y1, ball: ti.template(), number: ti.template(),
     vertex: ti.template(), globe: ti.template(), near: ti.template(),
 ):  # fmt: skip
     """Put a ball into pixels, as `_triangle` does."""
@@ -355,7 +380,9 @@ def _ball(
     if _real(vertex[p + 2]) > 0.0:
         reach, x, y = _globe_reach(s, number, globe), _real(vertex[p]), _real(vertex[p + 1])
         for j in range(_first(y - reach, y0, y1), _first(y + reach, y0, y1)):
-            for i in range(_first(x - reach, x0, x1), _first(x + reach, x0, x1)):
+            first, last = _first(x - reach, x0, x1), _first(x + reach, x0, x1)
+            _widen(near, spans + 2 * (j - y0), first, last)
+            for i in range(first, last):
                 z = _globe_depth(s, i + 0.5, j + 0.5, number, globe)
                 if z > number[LENS + 3]:
                     _keep(near, (j + 1) * (w + 2) + i + 1, names, 1.0 / z, 4 * s + BALL)
@@ -377,7 +404,7 @@ def _line_depth(s, u, v, layer, line: ti.template(), number: ti.template(), vert
 
 @ti.func
 def _line(
-    s, w, names, x0, x1, y0, y1, layer, line: ti.template(), number: ti.template(),
+    s, w, names, spans, x0, x1, y0, y1, layer, line: ti.template(), number: ti.template(),
     vertex: ti.template(), near: ti.template(),
 ):  # fmt: skip
     """Put a line with round ends into pixels, as `_triangle` does."""
@@ -397,9 +424,10 @@ def _line(
             if steep == 0.0:
                 part0, part1 = 0.0, 1.0
             a, b = x + part0 * along, x + part1 * along
-            for i in range(
-                _first(ti.min(a, b) - half, x0, x1), _first(ti.max(a, b) + half, x0, x1)
-            ):
+            first = _first(ti.min(a, b) - half, x0, x1)
+            last = _first(ti.max(a, b) + half, x0, x1)
+            _widen(near, spans + 2 * (j - y0), first, last)
+            for i in range(first, last):
                 z = _line_depth(s, i + 0.5, j + 0.5, layer, line, number, vertex)
                 _keep(near, (j + 1) * (w + 2) + i + 1, names, z, 4 * s + LINE)
 
@@ -485,7 +513,7 @@ def _differ(a, b):
 
 @ti.func
 def _put(
-    kinds: ti.template(), layer, names, i0, i1, j0, j1, tiles, corner: ti.template(),
+    kinds: ti.template(), layer, names, spans, i0, i1, j0, j1, tiles, corner: ti.template(),
     ball: ti.template(), line: ti.template(), number: ti.template(), count: ti.template(),
     vertex: ti.template(), plane: ti.template(), globe: ti.template(), box: ti.template(),
     near: ti.template(),
@@ -500,11 +528,41 @@ def _put(
                 if box[k, 2] < j1 and box[k, 3] > j0 and box[k, 0] < i1 and box[k, 1] > i0:
                     for s in range(begin + c * CHUNK, ti.min(begin + (c + 1) * CHUNK, end)):
                         if ti.static(kind == TRIANGLE):
-                            _triangle(s, w, names, i0, i1, j0, j1, corner, vertex, plane, near)
+                            _triangle(
+                                s, w, names, spans, i0, i1, j0, j1, corner, vertex, plane, near
+                            )
                         elif ti.static(kind == BALL):
-                            _ball(s, w, names, i0, i1, j0, j1, ball, number, vertex, globe, near)
+                            _ball(
+                                s,
+                                w,
+                                names,
+                                spans,
+                                i0,
+                                i1,
+                                j0,
+                                j1,
+                                ball,
+                                number,
+                                vertex,
+                                globe,
+                                near,
+                            )
                         else:
-                            _line(s, w, names, i0, i1, j0, j1, layer, line, number, vertex, near)
+                            _line(
+                                s,
+                                w,
+                                names,
+                                spans,
+                                i0,
+                                i1,
+                                j0,
+                                j1,
+                                layer,
+                                line,
+                                number,
+                                vertex,
+                                near,
+                            )
 
 
 @ti.func
@@ -545,21 +603,24 @@ def _tile(
         if count[FRESH] != 0:
             first, last = i0, i1
     base = ti.select(stands != 0, 0, 2 * h)  # of the rows of what lies behind
+    spans = 3 * names + 2 * tile * count[TILE]
     for j in range(j0, j1):
-        here = (j + 1) * (w + 2) + 1
+        here, at = (j + 1) * (w + 2) + 1, spans + 2 * (j - j0)
+        near[at], near[at + 1] = ABSENT, -ABSENT
         for i in range(low, high):
             if layer == 0 or i < box[tile, 2] or i >= box[tile, 3]:
                 near[here + i] = under[(base + j) * w + i]
         for i in range(low, high):
             near[names + here + i] = -1
     _put(
-        kinds, layer, names, i0, i1, j0, j1, tiles, corner, ball, line, number, count, vertex,
-        plane, globe, box, near,
+        kinds, layer, names, spans, i0, i1, j0, j1, tiles, corner, ball, line, number, count,
+        vertex, plane, globe, box, near,
     )  # fmt: skip
     for j in range(j0, j1):
         to, back = (count[ROOM + 1] + j) * count[WIDTH] + count[ROOM], (base + h + j) * w
         lit1, here = 1.0, (j + 1) * (w + 2) + 1
         past_code = 0
+        begin_row, end_row = _span(near, spans, count[TILE + 2], j - j0, j1 - j0, low, high)
         start = first & -STRIDE  # the same blocks, whatever is written
         for block in range(-1, (last - start + STRIDE - 1) // STRIDE):
             # The floor's shade is linear from here to there.
@@ -569,7 +630,7 @@ def _tile(
             lit_x = (lit1 - lit0) * (1.0 / STRIDE)
             begin = ti.max(left, first)
             end = ti.select(block < 0, begin, ti.min(left + STRIDE, last))
-            if stands == 0 and layer == 0 and (end <= low or begin >= high):
+            if stands == 0 and layer == 0 and (end <= begin_row or begin >= end_row):
                 for i in range(begin, end):
                     near[names + here + i] = -1  # as wherever nothing is
                 if ti.min(lit0, lit1) < 1.0:
@@ -605,7 +666,7 @@ def _tile(
                     # Neighbours of this tile that one sees to differ.
                     code = code & 0xFFFFFF
                     mark = 0
-                    if i > first and _differ(code, past_code):
+                    if i > begin_row and _differ(code, past_code):
                         mark = EDGE
                         near[2 * names + at - 1] = near[2 * names + at - 1] | EDGE
                     past_code = code
@@ -653,7 +714,9 @@ def _smooth(
     for j in range(j0, j1):
         to, here = (count[ROOM + 1] + j) * count[WIDTH] + count[ROOM], (j + 1) * (w + 2) + 1
         beside_others = j == j0 or j == j1 - 1
-        for i in range(box[at, 2], box[at, 3]):
+        spans = 3 * names + 2 * tile * count[TILE]
+        first, last = _span(near, spans, count[TILE + 2], j - j0, j1 - j0, box[at, 2], box[at, 3])
+        for i in range(first, last):
             this = names + here + i
             marked = near[names + this]
             edge = marked & EDGE != 0
@@ -770,7 +833,8 @@ def draw(
     under: (4, h, w) in a row, one over the depth, as bits, of what lies behind all, and its
     colours; then both of that with what stands still before it. Where that is drawn, this half is
     filled in, and not `out`. near: (3, h + 2, w + 2) in a row: depth, name and colour of what is
-    seen, with a rim; -1 where nothing is.
+    seen, with a rim; -1 where nothing is. Then the columns of each row of each tile that have
+    something, from and to.
     """
     if ti.static(ti.cfg.arch == ti.cpu):
         # Threads take one tile after another.
