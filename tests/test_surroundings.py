@@ -5,9 +5,9 @@ from contextlib import closing
 import pytest
 from commands import command
 
-from taichi_cloth import runtime
+from taichi_cloth import runtime, vulkan
 from taichi_cloth.scene import library
-from taichi_cloth.ui import opening, surroundings
+from taichi_cloth.ui import opening, presenters, surroundings
 from taichi_cloth.ui.chrome.layout import arrange, at_start
 
 SSH = {"SSH_CONNECTION": "10.0.0.1 5 10.0.0.2 22"}
@@ -68,6 +68,19 @@ def test_doctor_says_what_there_is_and_which_key_serves(display, monkeypatch):
 def test_scale_is_read_from_the_servers_resources():
     assert surroundings._scale("*customization: -color\nXft.dpi:\t192\n") == 2.0
     assert surroundings._scale("") == 1.0
+
+
+def test_auto_takes_ggui_only_where_a_graphics_card_has_vulkan(monkeypatch):
+    """A window that was asked for by name opens all the same, and `doctor` says why."""
+    for name, there in (("display_available", True), ("vulkan_available", True)):
+        monkeypatch.setattr(runtime, name, lambda there=there: there)
+    monkeypatch.setattr(surroundings, "is_forwarded", lambda: False)
+    card, software = "NVIDIA H200", "llvmpipe (LLVM 15.0.6, 256 bits)"
+    for devices, best in (([software], "gui"), ([card], "ggui"), ([software, card], "ggui")):
+        monkeypatch.setattr(vulkan, "devices", lambda devices=devices: devices)
+        assert opening._best(presenters.load_all()).name == best
+        assert (opening.avoided_by_auto("ggui") is None) == (best == "ggui")
+    assert opening.usable_views() == {"ggui": None, "gui": None, "none": None}
 
 
 def test_text_is_as_large_as_the_screen_or_the_flag_wants(monkeypatch, display, device):

@@ -84,10 +84,12 @@ def findings() -> Iterator[Finding]:
         yield Finding(report.name, report.text, report.good)
     device = vulkan.device_name()
     yield Finding("Vulkan device", device or runtime.NEEDS["vulkan"], device is not None)
-    from taichi_cloth.ui.opening import usable_views
+    from taichi_cloth.ui.opening import avoided_by_auto, usable_views
 
     for name, lack in usable_views().items():
-        yield Finding(f"view {name}", "usable" if lack is None else lack, lack is None)
+        avoided = avoided_by_auto(name) if lack is None else None
+        usable = f"usable; --view auto leaves it out: {avoided}" if avoided else "usable"
+        yield Finding(f"view {name}", usable if lack is None else lack, lack is None)
     yield _video_writer()
     yield _compiled_beside()
     yield from _cache_folders()

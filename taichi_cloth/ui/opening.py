@@ -21,6 +21,11 @@ def usable_views() -> dict[str, str | None]:
     return {name: kind.lack() for name, kind in presenters.load_all().items()}
 
 
+def avoided_by_auto(name: str) -> str | None:
+    """Why `--view auto` leaves out a kind of view that can open here; None: it does not."""
+    return presenters.load_all()[name].avoided()
+
+
 def in_memory(world: World, size: tuple[int, int]) -> View:
     """A view that draws pictures of a world in memory; there may be several."""
     return View("none", world, size)
