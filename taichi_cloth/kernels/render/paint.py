@@ -29,6 +29,7 @@ COMMON = -1.0 / 64  # pixels that triangles overlap at sides that are not smooth
 CHUNK = 32  # shapes of which one box is kept
 PIECE = 512  # iterations of a loop that Taichi gives a CPU's thread at a time, at least
 ABSENT = 1 << 28  # no pixel is so far away
+PART = 16  # pixels of a row that a thread copies
 # Of `count`: the room's left, top, width, height; a tile's rows and columns, tiles across, tiles;
 # the picture's width; whether all is painted anew, and whether what lies behind is there to stay;
 # the columns and rows to paint anew, from, to, from, to; the next tile; threads; chunks.
@@ -251,15 +252,27 @@ def paint(number: rows, what: indices, count: row, box: image, under: row, frame
 
 
 @kernel
-def put(pixels: image, x: ti.i32, y: ti.i32, width: ti.i32, frame: row):
-    """Copy pixels (h, w) into a picture whose rows are `width` long, from (x, y) on."""
-    for j, i in pixels:
-        frame[(y + j) * width + x + i] = pixels[j, i]
+def put(pixels: image, x: ti.i32, y: ti.i32, width: ti.i32, parts: ti.i32, frame: row):
+    """Copy pixels (h, w) into a picture whose rows are `width` long, from (x, y) on.
+
+    parts: pieces of PART pixels in all rows. A thread each: graphics drivers take 65535 blocks.
+    """
+    for k in range(parts):
+        across = (pixels.shape[1] + PART - 1) // PART
+        j, first = k // across, k % across * PART
+        for i in range(first, ti.min(first + PART, pixels.shape[1])):
+            frame[(y + j) * width + x + i] = pixels[j, i]
 
 
 @kernel
-def as_bytes(frame: row, width: ti.i32, height: ti.i32, shown: ti.template()):
-    """Copy a picture into a field (width, height) of four bytes each, from the bottom up."""
-    for i, j in shown:
-        code = frame[(height - 1 - j) * width + i]
-        shown[i, j] = ti.Vector([(code >> 16) & 255, (code >> 8) & 255, code & 255, 255])
+def as_bytes(frame: row, width: ti.i32, height: ti.i32, parts: ti.i32, shown: ti.template()):
+    """Copy a picture into a field (width, height) of four bytes each, from the bottom up.
+
+    parts: as for `put`.
+    """
+    for k in range(parts):
+        across = (width + PART - 1) // PART
+        j, first = k // across, k % across * PART
+        for i in range(first, ti.min(first + PART, width)):
+            code = frame[(height - 1 - j) * width + i]
+            shown[i, j] = ti.Vector([(code >> 16) & 255, (code >> 8) & 255, code & 255, 255])

@@ -140,8 +140,9 @@ class GguiPresenter:
             self._image = ti.Vector.field(4, ti.u8)
             builder.dense(ti.ij, (width, height)).place(self._image)
             self._tree = builder.finalize()
-        renderer.copy_to(self._image)
-        self._canvas.set_image(self._image)
+        with runtime.usual_blocks():
+            renderer.copy_to(self._image)
+            self._canvas.set_image(self._image)
         self._show()
 
     def _show(self) -> None:
