@@ -1668,6 +1668,24 @@ def test_a_window_opens_also_while_the_server_starts_anew(kind, display, caches,
 
 
 @needs_x
+@needs_vulkan
+@pytest.mark.thorough
+def test_ggui_shows_what_vulkan_drew(display, caches, tmp_path):
+    """The picture stays on the device, and is as large as a window usually is."""
+    from PIL import Image
+
+    out, error = command(
+        *("run", "cloth", "--arch", "vulkan", "--view", "ggui", "--frames", 3, "--image", "v.png"),
+        env={**caches, "DISPLAY": display},
+        cwd=tmp_path,
+    )
+    assert "window ggui" in out and "rror" not in error
+    seen = np.asarray(Image.open(tmp_path / "v.png")).astype(int)
+    green = (seen[..., 1] > 200) & (seen[..., 0] < 60)
+    assert green.sum() > 192 * 60  # discs of all particles
+
+
+@needs_x
 def test_a_window_destroyed_from_outside_ends_the_run_with_its_files(window, display):
     w = window("none", 2)
     w.ask("windowclose", w.id)
