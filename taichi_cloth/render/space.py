@@ -116,7 +116,8 @@ class Space:
         """Surfaces, springs and particles. distance: from the eye to what it looks at."""
         place = np.asarray(picture.position, np.float32)
         none = Things()
-        normal, side, corner, beside = none.normal, none.side, none.corner, none.beside
+        normal: np.ndarray = none.normal
+        side, corner, beside = none.side, none.corner, none.beside
         if len(picture.triangles):
             corner, beside = self._corners(picture.triangles)
             side = self._sides(picture.color_in_surfaces)
@@ -140,7 +141,7 @@ class Space:
         place = lens.eye + (1 + drawing.LIFTED) * (ghost.position - lens.eye)
         place = np.asarray(place, np.float32)
         code = style.packed_one(style.GHOST)
-        normal = np.zeros((0, 3), np.float32)
+        normal: np.ndarray = np.zeros((0, 3), np.float32)
         if len(ghost.triangles):
             given = ghost.normals
             if given is None:
