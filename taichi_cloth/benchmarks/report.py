@@ -174,10 +174,8 @@ def _scene_of(row: Measurement) -> str:
 
 MACHINE = "machine"  # the marker of the machine's description
 MARKED = "bench"  # what marks a document's places
-EACH = {
-    "accuracy": "frame",
-    "windows": "frame",
-}  # what a part's times are of, where that is no step
+# What a part's times are of, where that is no step.
+EACH = {"accuracy": "frame", "windows": "frame"}
 # Parts whose sizes are "SCENE: LEVEL" and contestants "WHO: SETTING": in documents a row for each
 # who on each scene, and a column for each level.
 BY_LEVEL = ("accuracy",)

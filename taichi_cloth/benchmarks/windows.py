@@ -23,10 +23,8 @@ PART = "windows"
 WORKER = Path(__file__).parents[2] / "bench" / "window_worker.py"  # in a checkout
 SCENES = ("cloth", "box", "sandbox", "drape", "flag", "stack", "shirt", "net")
 FLAGS = {"net": ("--side", "512")}
-FRAMES, FEW = (
-    180,
-    72,
-)  # of a window, a sixth or so of which is counted; of one whose frames are long
+# Frames of a window, a sixth or so of which is counted; of one whose frames are long.
+FRAMES, FEW = 180, 72
 LONG = ("net",)
 VIEWS = ("gui", "ggui")
 SIZES = ((1280, 800), (1920, 1080))  # pixels
@@ -38,12 +36,13 @@ def measure(bench: Bench) -> Iterator[Measurement]:
     """Rows of times, by size, view, scene and panels; with an earlier build rows of ratios, too."""
     sizes, views = (SIZES[:1], VIEWS[:1]) if bench.quick else (SIZES, VIEWS)
     wanted = [(size, view, scene) for view in views for size in sizes for scene in SCENES]
+    missing = None if runtime.display_available() else "there is no display"
+    missing = missing if WORKER.exists() else "only a checkout has bench/window_worker.py"
+    pythons = {"now": sys.executable, **({"before": bench.against} if bench.against else {})}
     for done, (size, view, scene) in enumerate(wanted):
         pixels = f"{size[0]} x {size[1]}"
         bench.tell(f"{scene}, {view}, {pixels}", done, len(wanted))
-        lack = None if runtime.display_available() else "there is no display"
-        lack = lack if WORKER.exists() else "only a checkout has bench/window_worker.py"
-        pythons = {"now": sys.executable, **({"before": bench.against} if bench.against else {})}
+        lack = missing
         found: dict[str, list[dict[str, dict[str, float]]]] = {name: [] for name in pythons}
         for _ in range(max(bench.rounds // 3, 1)):
             for name, python in pythons.items():

@@ -23,7 +23,7 @@ NONE = np.zeros((0, 7), np.float32), np.zeros((0, 2), np.int32)
 class Shapes:
     """Shapes that lie upon each other, the first at the bottom.
 
-    number: (k, 7) float32, what: (k, 2) int32, as `kernels/paint.py` has them.
+    number: (k, 7) float32, what: (k, 2) int32, as `kernels/render/paint.py` has them.
     """
 
     number: np.ndarray

@@ -34,8 +34,8 @@ class Renderer:
             self.image: Any = buffer.reshape(-1).view(np.int32)
         else:
             self.image = on_device(size[0] * size[1])
-        self._buffer = buffer
         self._of: tuple[Any, ...] = ()  # the rooms and worlds that it draws
+        self._bounds: Bounds | None = None  # of these worlds; kept, for an id can be given again
         self._worlds: list[Space | Plane] = []
         self._pointers: list[Painter] = []
         self._pointed: list[tuple[int, ...]] = []  # where each pointer was
@@ -100,7 +100,7 @@ class Renderer:
         wanted = (*rooms, id(bounds), camera is None)
         if wanted == self._of:
             return
-        self._of, self._laid = wanted, {}
+        self._of, self._bounds, self._laid = wanted, bounds, {}
         self.image.fill(style.packed_one(style.PAPER))
         height = self.size[1]
         self._worlds = [Plane(room) if camera is None else Space(room, height) for room in rooms]

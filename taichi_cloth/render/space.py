@@ -121,11 +121,7 @@ class Space:
         if len(picture.triangles):
             corner, beside = self._corners(picture.triangles)
             side = self._sides(picture.color_in_surfaces)
-            given = picture.normals
-            if given is None:
-                topology = self._topologies[0](picture.triangles)
-                given = topology.of_shown(drawing.are_numbers(place)).unit_normals(place)
-            normal = np.asarray(given, np.float32)
+            normal = _normals(picture, place, self._topologies[0])
         line = self._lines(picture.segments, picture.color, picture.spring_color)
         ball = self._balls(picture.as_spheres, picture.radius, picture.color)
         wide, lift = 1.0, 0.0
@@ -143,11 +139,7 @@ class Space:
         code = style.packed_one(style.GHOST)
         normal: np.ndarray = np.zeros((0, 3), np.float32)
         if len(ghost.triangles):
-            given = ghost.normals
-            if given is None:
-                topology = self._topologies[2](ghost.triangles)
-                given = topology.of_shown(drawing.are_numbers(place)).unit_normals(place)
-            normal = np.asarray(given, np.float32)
+            normal = _normals(ghost, place, self._topologies[2])
         side = np.full((len(normal), 2), code, np.int32)
         color = np.tile(np.array(style.GHOST, np.uint8), (len(place), 1))
         line = _lines(ghost.segments, color, style.GHOST)
@@ -253,6 +245,15 @@ def _floor(picture: Picture, camera: Camera) -> Floor | None:
         reach=reach,
         colors=(one, other),
     )
+
+
+def _normals(of: Picture | Ghost, place: np.ndarray, topology: Cached) -> np.ndarray:
+    """Unit normals of particles at `place`: those given, or those of the triangles."""
+    given = of.normals
+    if given is None:
+        shown = topology(of.triangles).of_shown(drawing.are_numbers(place))
+        given = shown.unit_normals(place)
+    return np.asarray(given, np.float32)
 
 
 def _packed(color: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Surfaces as they are seen: normals, which side of a triangle faces us, and how bright it is.
+"""Surfaces as they are seen: their normals, and how bright they are.
 
 All is in the camera's axes (x right, y down, z away from us), so lights stay where we are.
 """

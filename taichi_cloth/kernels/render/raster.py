@@ -31,6 +31,7 @@ from taichi_cloth.front_end.mending import kernel
 
 CHUNK = 32  # triangles, balls or lines of which one box is kept
 FLOOR = 0x1000000  # a bit of the colours that lie behind: they are the floor's
+FINE = 1024  # levels of a channel of a particle's lit colour
 SEEN = 8  # of 255: by so much neighbours differ where one sees an edge
 EDGE = 1 << 26  # a bit of the colours in `near`: one sees an edge there
 STRIDE = 8  # pixels between two places where the floor's shade is looked up
@@ -84,7 +85,7 @@ def _bits(value):
 
 @ti.func
 def _first(place, low, high):
-    """The first sample from `low` to `high` whose middle lies at `place` or after it."""
+    """The first pixel from `low` to `high` whose middle lies at `place` or after it."""
     return ti.cast(ti.ceil(ti.min(ti.max(place - 0.5, low + 0.0), high + 0.0)), ti.i32)
 
 
@@ -95,20 +96,12 @@ def _rgb(code):
 
 
 @ti.func
-def _packed(rgb):
-    """Channels from 0 to 1 as 0xRRGGBB."""
+def _packed(rgb, levels: ti.template()):
+    """Channels from 0 to 1 side by side in an integer: with 256 levels each, 0xRRGGBB."""
     code = 0
     for k in ti.static(range(3)):
-        code = code * 256 + ti.cast(ti.min(ti.max(rgb[k], 0.0), 1.0) * 255.0 + 0.5, ti.i32)
-    return code
-
-
-@ti.func
-def _packed_fine(rgb):
-    """Channels from 0 to 1 with ten bits each."""
-    code = 0
-    for k in ti.static(range(3)):
-        code = code * 1024 + ti.cast(ti.min(ti.max(rgb[k], 0.0), 1.0) * 1023.0 + 0.5, ti.i32)
+        level = ti.min(ti.max(rgb[k], 0.0), 1.0) * (levels - 1.0) + 0.5
+        code = code * levels + ti.cast(level, ti.i32)
     return code
 
 
@@ -167,7 +160,7 @@ def _project(
         for k in ti.static(range(2)):
             lit = _light(number, n * (1.0 - 2.0 * k))
             own = _rgb(side[v, k])
-            vertex[5 * v + 3 + k] = _packed_fine(lit * own + sheen * (0.35 + 0.65 * own))
+            vertex[5 * v + 3 + k] = _packed(lit * own + sheen * (0.35 + 0.65 * own), FINE)
 
 
 @ti.func
@@ -533,36 +526,14 @@ def _put(
                             )
                         elif ti.static(kind == BALL):
                             _ball(
-                                s,
-                                w,
-                                names,
-                                spans,
-                                i0,
-                                i1,
-                                j0,
-                                j1,
-                                ball,
-                                number,
-                                vertex,
-                                globe,
+                                s, w, names, spans, i0, i1, j0, j1, ball, number, vertex, globe,
                                 near,
-                            )
+                            )  # fmt: skip
                         else:
                             _line(
-                                s,
-                                w,
-                                names,
-                                spans,
-                                i0,
-                                i1,
-                                j0,
-                                j1,
-                                layer,
-                                line,
-                                number,
-                                vertex,
+                                s, w, names, spans, i0, i1, j0, j1, layer, line, number, vertex,
                                 near,
-                            )
+                            )  # fmt: skip
 
 
 @ti.func
@@ -653,7 +624,8 @@ def _tile(
                             code = _shaded(code, lit0 + (i - left) * lit_x)
                     if name >= 0:
                         own = _packed(
-                            _color(kinds, name, i + 0.5, j + 0.5, line, ball, number, plane, globe)
+                            _color(kinds, name, i + 0.5, j + 0.5, line, ball, number, plane, globe),
+                            256,
                         )
                         code = ti.select(layer > 0, _half(own, code), own)
                     if stands == 0:
@@ -909,7 +881,7 @@ def _lay_row(j, w, h, background, floor: ti.template(), lens: ti.template(), und
                             depth = ti.max(depth, deep)
                 total += rgb
             if seen > 0:
-                code = _packed(0.25 * total)
+                code = _packed(0.25 * total, 256)
                 if seen == 4:
                     code = code | FLOOR
                 under[j * w + i], under[(h + j) * w + i] = _bits(depth), code
