@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from taichi_cloth.kernels.render import raster
+from taichi_cloth.kernels.render import edges
 from taichi_cloth.render import painter, rasterizer, space, style
 from taichi_cloth.render.picture import Ghost, Rect
 from taichi_cloth.render.pointer import Pointer
@@ -118,7 +118,7 @@ def channels(codes):
 
 
 def twin(things):
-    """The picture by the rules of `kernels/render/raster.py`, each pixel by itself."""
+    """The picture by the rules of `kernels/render/edges.py`, each pixel by itself."""
     names = [4 * s for s in range(len(things.corner))]
     names += [4 * s + 1 for s in range(len(things.ball))]
     names += [4 * s + 2 for s in range(len(things.line))]
@@ -136,7 +136,7 @@ def twin(things):
                 if around[j + 1 + b, i + 1 + a] not in (-2, best[j, i])
             ]
             if not any(
-                np.abs(colors[j, i] - colors[j + b, i + a]).max() > raster.SEEN for a, b in steps
+                np.abs(colors[j, i] - colors[j + b, i + a]).max() > edges.SEEN for a, b in steps
             ):
                 continue
             total = np.zeros(3, int)

@@ -24,7 +24,7 @@ def triangles_at(corner):
 
 
 def grid_of(things, cell, share=1.0):
-    """What is above each cell of a grid that begins at 0, by layers, in cells; y points up."""
+    """What is above each cell of a grid that begins at 0, by layers, in parts; y points up."""
     return shadow.gathered(things, share, (0.0, 0.0, 0.0, cell, 1.0))
 
 
@@ -58,7 +58,7 @@ def test_things_are_their_projections_wherever_they_are_cut(device):
         (one, np.pi * 0.49, [6.0, 3.0, 7.0]),
     ):
         for cell, share in ((10.0, 1.0), (1.0, 0.5), (0.3, 1.0)):
-            layers = grid_of(things, cell, share).sum(axis=0)
+            layers = grid_of(things, cell, share).sum(axis=0) / shadow.ONE
             assert layers.sum() * cell**2 == pytest.approx(share * area, rel=5e-3)
             x, z = np.indices(layers.shape) * cell
             for at, where in ((x, middle[0]), (z, middle[2])):

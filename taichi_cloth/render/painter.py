@@ -92,6 +92,7 @@ class Painter:
         self._over = under is None
         self._under = np.zeros(1, np.int32) if under is None else under.reshape(-1)
         self._box = on_device(self._tiles + 64, 4)
+        self._triangles = False  # whether there were any
         self._fresh = True
 
     def draw(
@@ -125,7 +126,8 @@ class Painter:
         count[paint.AGAIN :][:4] = again
         count[paint.CHUNKS] = chunks
         count[paint.WORKERS] = runtime.current_device().threads
-        paint.paint(number, what, count, self._box, self._under, image)
+        self._triangles = self._triangles or bool((what[:, 0] >= 0).any())
+        paint.paint(self._triangles, number, what, count, self._box, self._under, image)
         self._fresh = False
 
 

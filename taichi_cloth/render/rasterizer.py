@@ -12,14 +12,15 @@ from taichi.lang import impl
 from taichi.lang._ndarray import ScalarNdarray
 
 from taichi_cloth import runtime
-from taichi_cloth.kernels.render import raster
+from taichi_cloth.kernels.render import floor as behind
+from taichi_cloth.kernels.render import frame, raster, sight
 
 ROWS, SQUARE = 16, 8  # of a tile: rows of the whole width on a CPU; elsewhere pixels of a side
 NO_ROWS = np.zeros((0, 3), np.float32)
 NO_INDICES = np.zeros((0, 3), np.int32)
 NO_NUMBERS = np.zeros(0, np.float32)
 UNSHADED = np.zeros((1, 1), np.float32)
-NOWHERE = (raster.ABSENT, -raster.ABSENT) * 2
+NOWHERE = (frame.ABSENT, -frame.ABSENT) * 2
 
 
 class Image(ScalarNdarray):  # type: ignore[misc]  # Taichi says nothing of its types
@@ -68,7 +69,7 @@ class Group:
 
 @dataclass(frozen=True)
 class Things:
-    """What is drawn at a time; `kernels/render/raster.py` says what its arrays are.
+    """What is drawn at a time; `kernels/render/frame.py` says what its arrays are.
 
     place: (n, 3) float32 [world]. normal: (k, 3) float32, of the first k vertices, which surfaces
     have, and side: (k, 2) int32, the colours of both their sides. corner: (m, 3), ball: (b, 3),
@@ -107,13 +108,13 @@ class Lens:
 
     def numbers(self, *layers: Group) -> np.ndarray:
         """As kernels take them, with the widths of both layers' lines."""
-        found = np.zeros(raster.NUMBERS, np.float32)
-        found[raster.EYE :][:3] = self.eye
-        found[raster.TURN :][:9] = self.turn.reshape(-1)
-        found[raster.LENS :][:4] = self.focal, *self.middle, self.nearest
-        found[raster.LIGHTS :][:10] = [*self.lights[:2].reshape(-1), self.lights[2, 3], self.sheen]
+        found = np.zeros(frame.NUMBERS, np.float32)
+        found[frame.EYE :][:3] = self.eye
+        found[frame.TURN :][:9] = self.turn.reshape(-1)
+        found[frame.LENS :][:4] = self.focal, *self.middle, self.nearest
+        found[frame.LIGHTS :][:10] = [*self.lights[:2].reshape(-1), self.lights[2, 3], self.sheen]
         widths = [number for layer in layers for number in (layer.width, layer.lift)]
-        found[raster.WIDTHS :][: len(widths)] = widths
+        found[frame.WIDTHS :][: len(widths)] = widths
         return found
 
 
@@ -186,7 +187,7 @@ class Floor:
     colors: tuple[np.ndarray, np.ndarray]
 
     def numbers(self) -> np.ndarray:
-        """As `kernels/render/raster.py` takes them."""
+        """As `kernels/render/frame.py` takes them."""
         given = (*self.axes, self.eye, self.middle, (self.side, self.reach), *self.colors)
         return np.concatenate([[self.above], *given]).astype(np.float32)
 
@@ -213,29 +214,29 @@ class Rasterizer:
         self._across = -(-width // wide)
         self._rows = -(-height // tall)
         self._tiles = self._across * self._rows
-        self._under = on_device(4 * width * height)
+        self._under = on_device(2 * width * height)
         self._near = on_device(3 * (width + 2) * (height + 2) + 2 * self._tiles * tall)
         self._near.fill(-1)
         self._box = self._boxes(64)
-        self._vertex, self._plane = on_device(5), on_device(9, real=True)
-        self._globe = on_device(4, real=True)
+        self._vertex, self._globe = on_device(5), on_device(4, real=True)
         self._kinds: tuple[bool, ...] = (False, False, True)
         self.fresh = True  # whether all pixels are to be written
 
     def _boxes(self, chunks: int) -> Any:
-        return on_device(raster.LAYERS * self._tiles + chunks, 4)
+        return on_device(frame.LAYERS * self._tiles + chunks, 4)
 
     def lay(self, background: int, floor: Floor | None, lens: Lens) -> None:
         """Have what lies behind everything: a floor, or none. background: 0xRRGGBB."""
         numbers = NO_NUMBERS if floor is None else floor.numbers()
         looked = np.array([lens.focal, *lens.middle], np.float32)
         w, h = self.width, self.height
-        raster.lay(background, numbers, looked, w, h, h * raster.ROWS, self._under)
+        behind.lay(background, numbers, looked, w, h, h * behind.ROWS, self._under)
         self.fresh = True
 
     def stand(self, things: Things, lens: Lens) -> None:
-        """Have things stand still before that, until it is laid again."""
-        self._launch(things, lens, np.zeros(1, np.int32), 0, (0, 0), stands=True)
+        """Have things stand still before what was laid."""
+        w, h = self.width, self.height
+        self._launch(things, lens, self._under, w, (0, h), stands=True)
         self.fresh = True
 
     def draw(
@@ -271,59 +272,57 @@ class Rasterizer:
         stands: bool = False,
     ) -> None:
         number, dark = lens.numbers(things.firm, things.veil), UNSHADED
-        count = np.zeros(raster.COUNTS + 2 * self._rows, np.int32)
-        count[raster.COUNTS :: 2] = raster.ABSENT
+        count = np.zeros(frame.COUNTS + 2 * self._rows, np.int32)
+        count[frame.COUNTS :: 2] = frame.ABSENT
         if shade is not None and floor is not None:
             homography = floor.homography(shade, lens)
-            number[raster.SHADE :][:9] = homography.reshape(-1)
+            number[frame.SHADE :][:9] = homography.reshape(-1)
             spans = shade.spans(homography, self.width, self.height, self._tile[0])
-            count[raster.COUNTS :] = spans.reshape(-1)
+            count[frame.COUNTS :] = spans.reshape(-1)
             dark = shade.dark
         chunks = self._count(count, things)
         self._grow(things, chunks)
-        count[raster.ROOM :][:4] = *corner, self.width, self.height
-        count[raster.TILE :][:4] = *self._tile, self._across, self._tiles
-        count[raster.STANDS], count[raster.FRESH] = stands, stands or self.fresh
-        count[raster.AGAIN :][:4] = again
-        count[raster.WORKERS] = runtime.current_device().threads
-        count[raster.WIDTH] = width
+        count[frame.ROOM :][:4] = *corner, self.width, self.height
+        count[frame.TILE :][:4] = *self._tile, self._across, self._tiles
+        count[frame.STANDS], count[frame.FRESH] = stands, stands or self.fresh
+        count[frame.AGAIN :][:4] = again
+        count[frame.WORKERS] = runtime.current_device().threads
+        count[frame.WIDTH] = width
         there = bool(len(things.corner)), bool(len(things.ball)), bool(len(things.line))
         self._kinds = tuple(a or b for a, b in zip(self._kinds, there, strict=True))
-        raster.see(
+        sight.see(
             self._kinds, things.place, things.normal, things.side, things.corner, things.ball,
             things.line, number, count, self._vertex, self._globe, self._box,
         )  # fmt: skip
         for layer in range(2 if things.veil != Group() else 1):
-            count[raster.NEXT :][:2] = 0
+            count[frame.NEXT :][:2] = 0
             raster.draw(
                 self._kinds, layer, things.corner, things.beside, things.ball, things.line, number,
-                count, self._vertex, self._plane, self._globe, self._box, self._near, self._under,
+                count, self._vertex, self._globe, self._box, self._near, self._under,
                 dark, image,
             )  # fmt: skip
 
     def _count(self, count: np.ndarray, things: Things) -> int:
         """Fill in how many things there are, and in which chunks; how many of these."""
-        count[raster.VERTICES] = len(things.place)
+        count[frame.VERTICES] = len(things.place)
         firm, veil = things.firm, things.veil
-        chunk, at = 0, raster.GROUPS
+        chunk, at = 0, frame.GROUPS
         begins = (0, 0, 0), (firm.triangles, firm.balls, firm.lines)
         for begin, group in zip(begins, (firm, veil), strict=True):
             for first, number in zip(
                 begin, (group.triangles, group.balls, group.lines), strict=True
             ):
                 count[at : at + 3] = first, first + number, chunk
-                chunk += -(-number // raster.CHUNK)
+                chunk += -(-number // frame.CHUNK)
                 at += 3
-        count[raster.CHUNKS] = chunk
+        count[frame.CHUNKS] = chunk
         return chunk
 
     def _grow(self, things: Things, chunks: int) -> None:
         """Have room for things."""
         if self._vertex.shape[0] < 5 * len(things.place):
             self._vertex = on_device(5 * len(things.place))
-        if self._plane.shape[0] < 9 * len(things.corner):
-            self._plane = on_device(9 * len(things.corner), real=True)
         if self._globe.shape[0] < 4 * len(things.ball):
             self._globe = on_device(4 * 2 * len(things.ball), real=True)
-        if self._box.shape[0] < raster.LAYERS * self._tiles + chunks:
+        if self._box.shape[0] < frame.LAYERS * self._tiles + chunks:
             self._box, self.fresh = self._boxes(2 * chunks), True

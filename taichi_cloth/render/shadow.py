@@ -58,27 +58,31 @@ class Shadows:
 
 
 def gathered(things: Things, share: float, where: tuple[float, ...]) -> np.ndarray:
-    """What is above each corner of a grid's cells, by layers of height: (layers, k, k), in cells.
+    """What is above each corner of a grid's cells, by layers of height: (layers, k, k) int32.
 
-    share: of the projections that counts. where: x and z where the grid begins, the floor's height,
-    a cell's side [world], and 1 where y points up, else -1.
+    It is counted in parts of a cell, of which a cell has `ONE`. share: of the projections that
+    counts. where: x and z where the grid begins, the floor's height, a cell's side [world], and 1
+    where y points up, else -1.
     """
     grid = on_device(LAYERS * (CELLS + 1) ** 2)
     some = max(1, -(-len(things.corner) // MOST))
     corner, numbers = np.ascontiguousarray(things.corner[::some]), np.array(where, np.float32)
     gather(things.place, corner, things.ball, some * share, share, numbers, grid)
-    found = grid if isinstance(grid, np.ndarray) else grid.to_numpy()
-    in_cells: np.ndarray = found.reshape(LAYERS, CELLS + 1, CELLS + 1) / ONE
-    return in_cells
+    found: np.ndarray = grid if isinstance(grid, np.ndarray) else grid.to_numpy()
+    return found.reshape(LAYERS, CELLS + 1, CELLS + 1)
 
 
 def blurred(layers: np.ndarray) -> np.ndarray:
     """The part of the light that is lacking at the corners of a grid's cells, (k, k) float32."""
     there = np.flatnonzero(layers.any(axis=(1, 2)))
-    waves = np.fft.rfft2(layers[there], (_WIDE, _WIDE))
-    total = (waves * _blurs()[there]).sum(axis=0)
-    lacking: np.ndarray = np.fft.irfft2(total, (_WIDE, _WIDE))[: CELLS + 1, : CELLS + 1]
-    return lacking.clip(0.0, 1.0).astype(np.float32)
+    if not len(there):
+        return np.zeros(layers.shape[1:], np.float32)
+    some = slice(there[0], there[-1] + 1)
+    waves = np.fft.fft(np.fft.rfft(layers[some], _WIDE, axis=2), _WIDE, axis=1)
+    waves *= _blurs()[some]
+    lacking = np.fft.irfft2(waves.sum(axis=0), (_WIDE, _WIDE))[: CELLS + 1, : CELLS + 1] / ONE
+    parts: np.ndarray = lacking.clip(0.0, 1.0).astype(np.float32)
+    return parts
 
 
 _WIDE = 3 * CELLS // 2  # with room beyond the grid: a convolution goes around
@@ -94,5 +98,5 @@ def _blurs() -> np.ndarray:
         h2 = 2.0**layer
         blur = h2 / (h2 + r2) ** 2 / np.pi
         # What is beyond is no shade here: high layers keep less than 1.
-        found.append(np.fft.rfft2(blur / max(blur.sum(), 1.0)))
+        found.append(np.fft.rfft2(blur / max(blur.sum(), 1.0)).real)  # as it is even
     return np.array(found)

@@ -21,31 +21,20 @@ smooth. One that is not hides what is under it as far as a neighbour may begin.
 import taichi as ti
 
 from taichi_cloth.front_end.mending import kernel
+from taichi_cloth.kernels.loops import PIECE
+from taichi_cloth.kernels.render.frame import CHUNK, first_pixel, image, row, rows
 
 STROKE = -1
 DIAGONAL = 0.7072  # from a pixel's middle to its corner
 COMMON = -1.0 / 64  # pixels that triangles overlap at sides that are not smooth
 
-CHUNK = 32  # shapes of which one box is kept
-PIECE = 512  # iterations of a loop that Taichi gives a CPU's thread at a time, at least
-ABSENT = 1 << 28  # no pixel is so far away
 PART = 16  # pixels of a row that a thread copies
 # Of `count`: the room's left, top, width, height; a tile's rows and columns, tiles across, tiles;
 # the picture's width; whether all is painted anew, and whether what lies behind is there to stay;
-# the columns and rows to paint anew, from, to, from, to; the next tile; threads; chunks.
-ROOM, TILE, WIDTH, FRESH, OVER, AGAIN, NEXT, WORKERS, CHUNKS = 0, 4, 8, 9, 10, 11, 15, 16, 17
-COUNTS = 18
-
-image = ti.types.ndarray(dtype=ti.i32, ndim=2)
-row = ti.types.ndarray(dtype=ti.i32, ndim=1)
-rows = ti.types.ndarray(dtype=ti.f32, ndim=2)
-indices = ti.types.ndarray(dtype=ti.i32, ndim=2)
-
-
-@ti.func
-def _first(place, low, high):
-    """The first pixel from `low` to `high` whose middle lies at `place` or after it."""
-    return ti.cast(ti.ceil(ti.min(ti.max(place - 0.5, low + 0.0), high + 0.0)), ti.i32)
+# the columns and rows to paint anew, from, to, from, to; the next tile; threads; chunks; and 0, as
+# `frame.ZERO` has it.
+ROOM, TILE, WIDTH, FRESH, OVER, AGAIN = 0, 4, 8, 9, 10, 11
+NEXT, WORKERS, CHUNKS, ZERO, COUNTS = 15, 16, 17, 18, 19
 
 
 @ti.func
@@ -67,7 +56,9 @@ def _mix(frame: ti.template(), at, color, share):
 
 
 @ti.func
-def _stroke(frame: ti.template(), number: ti.template(), s, width, color, top, bottom, left, right):
+def _stroke(
+    frame: ti.template(), number: ti.template(), s, width, color, top, bottom, left, right,
+):  # fmt: skip
     """Paint what is near a line, from row `top` to before `bottom`, `left` to before `right`."""
     ax, ay, half = number[s, 0], number[s, 1], number[s, 6]
     along, down = number[s, 2] - ax, number[s, 3] - ay
@@ -79,7 +70,7 @@ def _stroke(frame: ti.template(), number: ti.template(), s, width, color, top, b
     reach = half + DIAGONAL
     whole2 = ti.max(half - DIAGONAL, 0.0) ** 2  # so near, squared, all of a pixel is covered
     hollow2 = ti.max(number[s, 4] - DIAGONAL, 0.0) ** 2  # and so near it is covered later
-    j0 = _first(ti.min(ay, ay + down) - reach, top, bottom)
+    j0 = first_pixel(ti.min(ay, ay + down) - reach, top, bottom)
     j1 = _beyond(ti.max(ay, ay + down) + reach, top, bottom)
     for j in range(j0, j1):
         # Only this part of the line, from one share of it to another, is so near to the row.
@@ -90,7 +81,7 @@ def _stroke(frame: ti.template(), number: ti.template(), s, width, color, top, b
             part0 = ti.min(ti.max(ti.min(one, other), 0.0), 1.0)
             part1 = ti.min(ti.max(ti.max(one, other), 0.0), 1.0)
         x0, x1 = ax + part0 * along, ax + part1 * along
-        i0 = _first(ti.min(x0, x1) - reach, left, right)
+        i0 = first_pixel(ti.min(x0, x1) - reach, left, right)
         i1 = _beyond(ti.max(x0, x1) + reach, left, right)
         for i in range(i0, i1):
             x = i + 0.5 - ax
@@ -136,7 +127,7 @@ def _triangle(
             across[k], downwards[k] = -way * to_y, way * to_x
             at[k] = -across[k] * x[k] - downwards[k] * y[k]
         for j in range(
-            _first(y.min() - DIAGONAL, top, bottom), _beyond(y.max() + DIAGONAL, top, bottom)
+            first_pixel(y.min() - DIAGONAL, top, bottom), _beyond(y.max() + DIAGONAL, top, bottom)
         ):
             # The row is inside all sides from `low` to `high`.
             low, high = x.min() - DIAGONAL, x.max() + DIAGONAL
@@ -146,7 +137,7 @@ def _triangle(
                     low = ti.max(low, free / across[k])
                 elif across[k] < -1e-6:
                     high = ti.min(high, free / across[k])
-            for i in range(_first(low - 0.01, left, right), _beyond(high + 0.01, left, right)):
+            for i in range(first_pixel(low - 0.01, left, right), _beyond(high + 0.01, left, right)):
                 share = 1.0
                 for k in ti.static(range(3)):
                     inside = across[k] * (i + 0.5) + downwards[k] * (j + 0.5) + at[k]
@@ -159,8 +150,8 @@ def _triangle(
 
 @ti.func
 def _tile(
-    tile, number: ti.template(), what: ti.template(), count: ti.template(), box: ti.template(),
-    under: ti.template(), frame: ti.template(),
+    triangles: ti.template(), tile, number: ti.template(), what: ti.template(),
+    count: ti.template(), box: ti.template(), under: ti.template(), frame: ti.template(),
 ):  # fmt: skip
     """Paint a tile."""
     tiles, width = count[TILE + 3], count[WIDTH]
@@ -175,6 +166,8 @@ def _tile(
         k = tiles + c
         if box[k, 2] < bottom and box[k, 3] > top:
             low, high = ti.min(low, ti.max(box[k, 0], left)), ti.max(high, ti.min(box[k, 1], right))
+        if count[ZERO] != 0:
+            break
     if count[OVER] == 0:
         first, last = ti.min(low, box[tile, 0]), ti.max(high, box[tile, 1])
         box[tile, 0], box[tile, 1] = low, high
@@ -185,24 +178,35 @@ def _tile(
             first, last = left, right
         for j in range(top, bottom):
             from_there = (j - count[ROOM + 1]) * count[ROOM + 2] - count[ROOM]
-            for i in range(first, last):
+            i = first
+            while i < last:
                 frame[j * width + i] = under[from_there + i]
+                i += 1 + count[ZERO]
     for c in range(chunks):
         k = tiles + c
         if box[k, 2] < bottom and box[k, 3] > top and box[k, 0] < right and box[k, 1] > left:
             for s in range(c * CHUNK, ti.min((c + 1) * CHUNK, what.shape[0])):
                 if what[s, 0] < 0:
                     _stroke(frame, number, s, width, what[s, 1], top, bottom, low, high)
-                else:
+                elif ti.static(triangles):
                     _triangle(
                         frame, number, s, width, what[s, 0], what[s, 1], top, bottom, low, high
                     )
 
 
 @kernel
-def paint(number: rows, what: indices, count: row, box: image, under: row, frame: row):
+def paint(
+    triangles: ti.template(),
+    number: rows,
+    what: image,
+    count: row,
+    box: image,
+    under: row,
+    frame: row,
+):
     """Paint shapes, each upon those before it, over what lies behind them.
 
+    triangles: whether there are any; compiled in, for most pictures of a plane have none.
     under: (h * w,), that of the room. box: (, 4), one row a tile: the columns painted last, from
     and to; then one row a chunk of shapes. count: as `painter.py` fills it in.
     """
@@ -231,6 +235,8 @@ def paint(number: rows, what: indices, count: row, box: image, under: row, frame
                 ti.min(low_y, y0 - reach, y1 - reach),
                 ti.max(high_y, y0 + reach, y1 + reach),
             )
+            if count[ZERO] != 0:
+                break
         far = 1e8
         box[tiles + c, 0] = ti.cast(ti.floor(ti.min(ti.max(low_x, -far), far)), ti.i32)
         box[tiles + c, 1] = ti.cast(ti.ceil(ti.min(ti.max(high_x, -far), far)), ti.i32)
@@ -243,12 +249,12 @@ def paint(number: rows, what: indices, count: row, box: image, under: row, frame
             if worker % PIECE == 0:
                 tile = ti.atomic_add(count[NEXT], 1)
                 while tile < count[TILE + 3]:
-                    _tile(tile, number, what, count, box, under, frame)
+                    _tile(triangles, tile, number, what, count, box, under, frame)
                     tile = ti.atomic_add(count[NEXT], 1)
     else:
         ti.loop_config(block_dim=8)
         for tile in range(count[TILE + 3]):
-            _tile(tile, number, what, count, box, under, frame)
+            _tile(triangles, tile, number, what, count, box, under, frame)
 
 
 @kernel
