@@ -2,7 +2,10 @@
 
 Run as a program, by the Python of any build of this package, that of an earlier one as well:
 
-    python window_worker.py SCENE VIEW WIDTHxHEIGHT FRAMES [FLAG ...]
+    python window_worker.py SCENE VIEW WIDTHxHEIGHT FRAMES [--smooth] [FLAG ...]
+
+--smooth: an earlier build whose ti.GUI goes over to pictures without smooth edges, where a frame
+takes it more than 12 ms, keeps them.
 
 It prints a line of JSON: milliseconds, the medians of frames with the panels closed, then open.
 `draw`: to make the picture, draw and show it. `show`: of these, to show it. `simulate`.
@@ -52,6 +55,11 @@ def main(scene: str, view: str, size: str, frames: str, *flags: str) -> None:
         shown = importlib.import_module(f"taichi_cloth.ui.views.{view}")
         shown = shown.GuiView if view == "gui" else shown.GguiView
 
+    if "--smooth" in flags:
+        flags = tuple(flag for flag in flags if flag != "--smooth")
+        drawing: Any = sys.modules[shown.__module__]
+        if hasattr(drawing, "ENOUGH"):
+            drawing.ENOUGH = float("inf")
     count, polls, poll = int(frames), 0, shown.poll
 
     def polled(self: Any) -> Any:

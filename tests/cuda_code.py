@@ -24,7 +24,7 @@ BARRIER = re.compile(r"(?:bar|barrier)\.")
 # Whether there is a thread of such a number, once for a whole launch: blocks are whole.
 OF_ALL_THREADS = re.compile(r"setp\.\w+\.\w+\s+%p\d+, %r\d+, (\d+);")
 BLOCK = 256
-DONE = "done"
+DONE, DRAWING = "done", "drawing"
 
 
 def make_driver(folder):
@@ -54,7 +54,10 @@ def code_of(driver, folder, scene, method, precision="f64"):
 
 
 def compile_frame(scene, method, precision):
-    """Compile all that a frame launches; nothing of it is run, so it ends in a failure."""
+    """Compile all that a frame launches; nothing of it is run, so it ends in a failure.
+
+    scene: `DRAWING` compiles pictures of a plane and of space instead.
+    """
     from taichi_cloth import runtime
     from taichi_cloth.benchmarks.agreement import GIVEN
     from taichi_cloth.errors import InputError, SimulationFailure
@@ -62,6 +65,8 @@ def compile_frame(scene, method, precision):
     from taichi_cloth.simulation.simulation import Simulation
 
     runtime.start("cuda", precision)
+    if scene == DRAWING:
+        draw()
     made = library.build(scene, **GIVEN.get(scene, {}))
     try:
         sim = Simulation(made, method, dt="auto", execution="parallel")
@@ -71,6 +76,29 @@ def compile_frame(scene, method, precision):
         sim.advance()
     print(DONE, flush=True)
     os._exit(0)  # Taichi would free what this driver never had
+
+
+def draw():
+    """Compile what draws a plane and space with all that a picture may have, and end."""
+    from dataclasses import replace
+
+    import numpy as np
+    import taichi as ti
+    from test_drawing import WORLD, camera
+    from test_raster import random_picture
+
+    from taichi_cloth.render.renderer import Renderer
+
+    rng = np.random.default_rng(7)
+    for made in [random_picture(rng) for _ in range(3)]:
+        Renderer((120, 100)).draw(made, WORLD, camera(rot_x=20), None, None)
+    flat = replace(made, position=made.position[:, :2], normals=None, ground=None, ghost=None)
+    plane = replace(WORLD, size=(2.0, 2.0), gravity=(0.0, 0.0))
+    last = Renderer((120, 100))
+    last.draw(flat, plane, None, None, None)
+    last.copy_to(ti.Vector.field(4, ti.u8, (120, 100)))  # as GGUI shows it
+    print(DONE, flush=True)
+    os._exit(0)
 
 
 # --- barriers ------------------------------------------------------------------------------------

@@ -65,6 +65,14 @@ def test_threads_wait_at_one_place_and_no_read_misses_a_store(
         assert not any("sqrt.rn" in text for text in code)
 
 
+@needs_compiler
+def test_all_that_draws_compiles(driver, tmp_path):
+    code = cuda_code.code_of(driver, tmp_path, cuda_code.DRAWING, "-", "f32")
+    kernels = {name.split("_c")[0] for text in code for name, _ in cuda_code.functions(text)}
+    assert {"lay", "see", "draw", "gather", "paint", "put", "as_bytes"} <= kernels
+    assert not any("ld.global.nc" in text for text in code)
+
+
 def test_ways_that_part_at_a_barrier_are_found():
     """Where they part by the thread, and only those."""
     way = {"which": "%tid.x", "first": "bar.sync 	0;", "second": "bar.sync 	0;", "last": ""}

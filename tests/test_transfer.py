@@ -102,6 +102,7 @@ def test_the_host_reads_what_kernels_do(sim, monkeypatch):
     found = []
     for few in (readback.FEW, 0):
         monkeypatch.setattr(readback, "FEW", few)
+        monkeypatch.setattr(readback, "FEW_MARKS", few)
         assert readback.is_by_host(inside.state_of(sim), 1) == (few > 0)
         read = sim.storage.positions(), sim.storage.velocities(), sim.storage.marks()
         found.append((*read, sim.storage.drawn_positions().copy(), sim.storage.count_broken()))

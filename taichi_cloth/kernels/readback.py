@@ -15,11 +15,18 @@ from taichi_cloth.kernels.state import ALIVE
 # Of so many particles or springs the host reads what a kernel of all threads would read no sooner.
 # Of 192 particles it takes 3 us for 50, and no kernel has to be compiled.
 FEW = 4096
+# Marks of springs lie in a row: so many take the host less than a kernel takes to start.
+FEW_MARKS = 100_000
 
 
 def is_by_host(state, count):
-    """Whether the host reads so many particles or springs: on a processor, where they are few."""
+    """Whether the host reads so many particles: on a processor, where they are few."""
     return state.memory is not None and count <= FEW
+
+
+def are_marks_by_host(state, count):
+    """Whether the host reads the marks of so many springs on the graph."""
+    return state.memory is not None and count <= FEW_MARKS
 
 
 def vectors_in_memory(spec, state, field, out):
@@ -38,6 +45,11 @@ def fracture_in_memory(state, count):
     """What `read_fracture` copies of so many springs, (count, 2), read by the host."""
     marks = state.memory.of(state.status), state.memory.of(state.break_step)
     return np.stack([of[:count] for of in marks], axis=1)
+
+
+def broken_in_memory(state, count):
+    """How many of so many springs are breaking or gone, counted by the host."""
+    return int(np.count_nonzero(state.memory.of(state.status)[:count] != ALIVE))
 
 
 def work_in_memory(state):

@@ -20,7 +20,7 @@ from taichi_cloth.kernels.compensated import difference
 from taichi_cloth.kernels.fields import Surface
 from taichi_cloth.kernels.forces import has_tractions, load
 from taichi_cloth.kernels.forces.contract import TRACTION, has
-from taichi_cloth.kernels.loops import each
+from taichi_cloth.kernels.loops import each, is_short
 from taichi_cloth.kernels.packs import (
     set_slot_number,
     set_slot_value,
@@ -329,6 +329,8 @@ def compute_normals(
     the area (Max, "Weights for computing vertex normals from facet normals", 1999, calls it the
     mean weighted by areas). Zero where none is whole, or where they cancel.
     """
+    if ti.static(is_short(surface.corner.shape[0])):
+        ti.loop_config(serialize=True)
     for m in range(surface.n_triangles[None]):
         area = ti.Vector.zero(state.real, 3)
         if is_whole(spec, state, surface, m):
@@ -338,9 +340,13 @@ def compute_normals(
         for axis in ti.static(range(3)):
             surface.vector[m, axis] = area[axis]
     # Else those at no triangle come back from Vulkan as what an earlier array left on the device.
+    if ti.static(is_short(surface.corner.shape[0])):
+        ti.loop_config(serialize=True)
     for i in range(normals.shape[0]):
         for axis in ti.static(range(3)):
             normals[i, axis] = 0.0
+    if ti.static(is_short(surface.corner.shape[0])):
+        ti.loop_config(serialize=True)
     for p in range(surface.n_rows[None]):
         total = gathered(state, surface, p, False)
         largest = ti.max(ti.max(ti.abs(total[0]), ti.abs(total[1])), ti.abs(total[2]))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from taichi_cloth import runtime
-from taichi_cloth.kernels.render import paint
+from taichi_cloth.kernels.render import frame, paint
 from taichi_cloth.render.picture import Rect
 from taichi_cloth.render.rasterizer import NOWHERE, on_device, tile_of
 
@@ -114,7 +114,7 @@ class Painter:
         if shapes:
             number = np.concatenate([some.number for some in shapes])
             what = np.concatenate([some.what for some in shapes])
-        chunks = -(-len(what) // paint.CHUNK)
+        chunks = -(-len(what) // frame.CHUNK)
         needed = self._tiles + chunks
         if self._box.shape[0] < needed:
             self._box, self._fresh = on_device(2 * needed, 4), True
@@ -124,7 +124,7 @@ class Painter:
         count[paint.TILE :][:4] = *self._tile, self._across, self._tiles
         count[paint.WIDTH], count[paint.FRESH], count[paint.OVER] = width, self._fresh, self._over
         count[paint.AGAIN :][:4] = again
-        count[paint.CHUNKS] = chunks
+        count[frame.CHUNKS] = chunks
         count[paint.WORKERS] = runtime.current_device().threads
         self._triangles = self._triangles or bool((what[:, 0] >= 0).any())
         paint.paint(self._triangles, number, what, count, self._box, self._under, image)

@@ -20,7 +20,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from taichi_cloth.kernels.render.shadow import CELLS, LAYERS, ONE, gather
+from taichi_cloth.kernels.render.shadow import CELLS, LAYERS, ONE, STEP, gather
 from taichi_cloth.render.camera import Camera
 from taichi_cloth.render.drawing import Cached
 from taichi_cloth.render.rasterizer import Shade, Things, on_device
@@ -67,7 +67,8 @@ def gathered(things: Things, share: float, where: tuple[float, ...]) -> np.ndarr
     grid = on_device(LAYERS * (CELLS + 1) ** 2)
     some = max(1, -(-len(things.corner) // MOST))
     corner, numbers = np.ascontiguousarray(things.corner[::some]), np.array(where, np.float32)
-    gather(things.place, corner, things.ball, some * share, share, numbers, grid)
+    balls = bool(len(things.ball))
+    gather(balls, things.place, corner, things.ball, some * share, share, numbers, grid)
     found: np.ndarray = grid if isinstance(grid, np.ndarray) else grid.to_numpy()
     return found.reshape(LAYERS, CELLS + 1, CELLS + 1)
 
@@ -95,7 +96,7 @@ def _blurs() -> np.ndarray:
     r2 = away[:, None] ** 2 + away**2
     found = []
     for layer in range(LAYERS):
-        h2 = 2.0**layer
+        h2 = 4.0 ** (STEP * layer)
         blur = h2 / (h2 + r2) ** 2 / np.pi
         # What is beyond is no shade here: high layers keep less than 1.
         found.append(np.fft.rfft2(blur / max(blur.sum(), 1.0)).real)  # as it is even

@@ -9,7 +9,8 @@ import taichi as ti
 from taichi_cloth.front_end.mending import kernel
 
 CELLS = 64  # of the grid, along each side
-LAYERS = 13  # at heights of 1, 2 ** 0.5, 2, ... 64 cells
+LAYERS = 9  # at heights of 1 to 64 cells,
+STEP = 0.75  # so far apart, in powers of two: shares are right to 1.5 %
 ONE = 1 << 16
 FINEST = 64  # parts along a triangle's side, at most
 DISC = 12  # parts of a ball, spread evenly over its projection (Vogel, 1979)
@@ -29,7 +30,8 @@ def _add(area, x, z, height, grid: ti.template()):
     """
     # Written so that what is no number fails.
     if x >= 0.0 and x < CELLS and z >= 0.0 and z < CELLS and height > -1.0 and height < 1e6:
-        layer = ti.min(2.0 * ti.log(ti.max(height, 1.0)) * 1.4426950408889634, LAYERS - 1.0)
+        octaves = ti.log(ti.max(height, 1.0)) * 1.4426950408889634
+        layer = ti.min(octaves / STEP, LAYERS - 1.0)
         k, i, j = ti.min(ti.cast(layer, ti.i32), LAYERS - 2), ti.cast(x, ti.i32), ti.cast(z, ti.i32)
         by_layer, by_x, by_z = layer - k, x - i, z - j
         for corner in ti.static(range(8)):
@@ -56,6 +58,7 @@ def _cells(place: ti.template(), v, where: ti.template()):
 
 @kernel
 def gather(
+    balls: ti.template(),
     place: rows,
     corner: indices,
     ball: indices,
@@ -66,7 +69,8 @@ def gather(
 ):
     """Add the projections of triangles and balls, a share of each kind, to a grid of all layers.
 
-    place: (n, 3) [world]. corner: (m, 3), vertices. ball: (k, 3), as `raster.py` has them.
+    balls: whether there are any. place: (n, 3) [world]. corner: (m, 3), vertices. ball: (k, 3), as
+    `frame.py` has them.
     where: as `_cells` takes it. grid: (layers * (cells + 1)^2,).
     """
     # One thread of a processor: several would wait for each other's numbers.
@@ -87,11 +91,12 @@ def gather(
                     u, v = fine - u, fine - v
                 at = a + (u / fine) * one + (v / fine) * two
                 _add(share * area / (fine * fine), at[0], at[2], at[1], grid)
-    ti.loop_config(serialize=ti.static(ti.cfg.arch == ti.cpu))
-    for k in range(ball.shape[0]):
-        at = _cells(place, ball[k, 0], where)
-        radius = ti.bit_cast(ball[k, 2], ti.f32) / where[3]
-        for part in range(DISC):
-            away, turn = radius * ti.sqrt((part + 0.5) / DISC), TURN * part
-            area = of_balls * 3.141592653589793 * radius * radius / DISC
-            _add(area, at[0] + away * ti.cos(turn), at[2] + away * ti.sin(turn), at[1], grid)
+    if ti.static(balls):
+        ti.loop_config(serialize=ti.static(ti.cfg.arch == ti.cpu))
+        for k in range(ball.shape[0]):
+            at = _cells(place, ball[k, 0], where)
+            radius = ti.bit_cast(ball[k, 2], ti.f32) / where[3]
+            for part in range(DISC):
+                away, turn = radius * ti.sqrt((part + 0.5) / DISC), TURN * part
+                area = of_balls * 3.141592653589793 * radius * radius / DISC
+                _add(area, at[0] + away * ti.cos(turn), at[2] + away * ti.sin(turn), at[1], grid)

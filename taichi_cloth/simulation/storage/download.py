@@ -91,7 +91,7 @@ class Download(DeviceState):
 
     def _marks_on_graph(self, count: int) -> np.ndarray:
         """Status and break step of the springs on the graph, (count, 2), of which there are any."""
-        if readback.is_by_host(self.state, count):
+        if readback.are_marks_by_host(self.state, count):
             found: np.ndarray = readback.fracture_in_memory(self.state, count)
             return found
         part = np.zeros((count, 2), np.int32)
@@ -112,8 +112,9 @@ class Download(DeviceState):
         if not self.specialization.fracture:
             return 0
         count = len(self._now.placement.graph_springs)
-        if count and not self.specialization.links and readback.is_by_host(self.state, count):
-            return int(np.count_nonzero(self._marks_on_graph(count)[:, 0] != ALIVE))
+        by_host = readback.are_marks_by_host(self.state, count)
+        if count and by_host and not self.specialization.links:
+            return int(readback.broken_in_memory(self.state, count))
         return int(self._launch(readback.count_broken))
 
     def faulty_particle(self) -> int:

@@ -205,7 +205,11 @@ class Storage(Loading, Download, Handling):
                 self._launch_hold(Hold.nobody(dim), np.ones(n), 0)
                 self._launch(grab.move_hold, np.zeros(dim, self.real))
         ties = self._now.placement.graph_springs
-        if self.specialization.fracture and len(ties) == 0 and not readback.is_by_host(state, 1):
+        if (
+            self.specialization.fracture
+            and len(ties) == 0
+            and not readback.are_marks_by_host(state, 1)
+        ):
             self._launcher.launch(readback.read_fracture, state, np.zeros((1, 2), np.int32))
 
     def _prepare_return(self) -> None:
