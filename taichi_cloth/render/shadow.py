@@ -86,7 +86,7 @@ def blurred(layers: np.ndarray) -> np.ndarray:
     return parts
 
 
-_WIDE = 3 * CELLS // 2  # with room beyond the grid: a convolution goes around
+_WIDE = 5 * CELLS // 4  # with some room beyond the grid: a convolution goes around
 
 
 @lru_cache(maxsize=1)
