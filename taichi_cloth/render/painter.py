@@ -124,7 +124,7 @@ class Painter:
         count[paint.TILE :][:4] = *self._tile, self._across, self._tiles
         count[paint.WIDTH], count[paint.FRESH], count[paint.OVER] = width, self._fresh, self._over
         count[paint.AGAIN :][:4] = again
-        count[frame.CHUNKS] = chunks
+        count[paint.CHUNKS] = chunks
         count[paint.WORKERS] = runtime.current_device().threads
         self._triangles = self._triangles or bool((what[:, 0] >= 0).any())
         paint.paint(self._triangles, number, what, count, self._box, self._under, image)
