@@ -290,16 +290,22 @@ class Rasterizer:
         count[frame.WIDTH] = width
         there = bool(len(things.corner)), bool(len(things.ball)), bool(len(things.line))
         self._kinds = tuple(a or b for a, b in zip(self._kinds, there, strict=True))
+        places, normals, sides, triangles, beside, balls, lines = (
+            np.ascontiguousarray(of).reshape(-1)
+            for of in (
+                *(things.place, things.normal, things.side),
+                *(things.corner, things.beside, things.ball, things.line),
+            )
+        )
         sight.see(
-            self._kinds, things.place, things.normal, things.side, things.corner, things.ball,
-            things.line, number, count, self._vertex, self._globe, self._box,
+            self._kinds, places, normals, sides, triangles, balls, lines, number, count,
+            self._vertex, self._globe, self._box,
         )  # fmt: skip
         for layer in range(2 if things.veil != Group() else 1):
             count[frame.NEXT :][:2] = 0
             raster.draw(
-                self._kinds, layer, things.corner, things.beside, things.ball, things.line, number,
-                count, self._vertex, self._globe, self._box, self._near, self._under,
-                dark, image,
+                self._kinds, layer, triangles, beside, balls, lines, number, count, self._vertex,
+                self._globe, self._box, self._near, self._under, dark, image,
             )  # fmt: skip
 
     def _count(self, count: np.ndarray, things: Things) -> int:

@@ -25,7 +25,7 @@ def _surface_depth(s, u, v, corner: ti.template(), beside: ti.template(), vertex
     while step < STEPS and t >= 0:
         x, y, z = ti.Vector([0.0] * 3), ti.Vector([0.0] * 3), ti.Vector([0.0] * 3)
         for k in ti.static(range(3)):
-            p = 5 * corner[t, k]
+            p = 5 * corner[3 * t + k]
             x[k], y[k] = real(vertex[p]) - u, real(vertex[p + 1]) - v
             z[k] = real(vertex[p + 2])
         # How far the place is inside of each side, from corner k to the next.
@@ -44,7 +44,7 @@ def _surface_depth(s, u, v, corner: ti.template(), beside: ti.template(), vertex
             else:
                 worst, over = 0.0, -1
                 for k in ti.static(range(3)):
-                    other = beside[t, k]
+                    other = beside[3 * t + k]
                     if side[k] < worst and (other != past or step == 0):
                         worst, over = side[k], other
                 past, t = t, over

@@ -47,7 +47,7 @@ def globe_depth(s, u, v, number: ti.template(), globe: ti.template()):
 @ti.func
 def line_depth(s, u, v, layer, line: ti.template(), number: ti.template(), vertex: ti.template()):
     """One over the depth of a line at a place of the picture; 0 where it is not."""
-    p, q = 5 * line[s, 0], 5 * line[s, 1]
+    p, q = 5 * line[3 * s], 5 * line[3 * s + 1]
     x, y, z = real(vertex[p]), real(vertex[p + 1]), real(vertex[p + 2])
     along, down = real(vertex[q]) - x, real(vertex[q + 1]) - y
     half = 0.5 * number[WIDTHS + 2 * layer]
@@ -93,7 +93,7 @@ def _triangle(
     x, y, z = ti.Vector([0.0] * 3), ti.Vector([0.0] * 3), ti.Vector([0.0] * 3)
     v = ti.Vector([0] * 3)
     for k in ti.static(range(3)):
-        v[k] = 5 * corner[s, k]
+        v[k] = 5 * corner[3 * s + k]
         x[k], y[k], z[k] = real(vertex[v[k]]), real(vertex[v[k] + 1]), real(vertex[v[k] + 2])
     j0, j1 = first_pixel(y.min(), y0, y1), first_pixel(y.max(), y0, y1)
     if z.min() > 0.0 and j0 < j1 and first_pixel(x.min(), x0, x1) < first_pixel(x.max(), x0, x1):
@@ -104,10 +104,8 @@ def _triangle(
         down_1, down_2 = (x[0] - x[2]) * by_area, (x[1] - x[0]) * by_area
         z_x = (z[1] - z[0]) * right_1 + (z[2] - z[0]) * right_2
         z_y = (z[1] - z[0]) * down_1 + (z[2] - z[0]) * down_2
-        seen = ti.select(area < 0.0, 3, 4)  # the front, as y points down
-        color = _fine(vertex[v[0] + seen])
-        one, two = _fine(vertex[v[1] + seen]) - color, _fine(vertex[v[2] + seen]) - color
-        right, down = one * right_1 + two * right_2, one * down_1 + two * down_2
+        color, right, down = ti.Vector([0.0] * 3), ti.Vector([0.0] * 3), ti.Vector([0.0] * 3)
+        is_colored = False  # the smallest triangles cover no pixel's middle
         # Each side from its upper end down, in both triangles that share it: no gap, no overlap.
         top_x, top_y, low_y = ti.Vector([0.0] * 3), ti.Vector([0.0] * 3), ti.Vector([0.0] * 3)
         way = ti.Vector([0.0] * 3)
@@ -130,6 +128,13 @@ def _triangle(
             first, last = ti.max(begin, x0), ti.min(end, x1)
             if first < last:
                 _widen(near, spans + 2 * (j - y0), first, last)
+                if not is_colored:
+                    seen = ti.select(area < 0.0, 3, 4)  # the front, as y points down
+                    color = _fine(vertex[v[0] + seen])
+                    one = _fine(vertex[v[1] + seen]) - color
+                    two = _fine(vertex[v[2] + seen]) - color
+                    right, down = one * right_1 + two * right_2, one * down_1 + two * down_2
+                    is_colored = True
                 at_first = color + (begin + 0.5 - x[0]) * right + (middle - y[0]) * down
                 at_first = ti.min(ti.max(at_first, 0.0), 255.0)
                 at_last = at_first + (end - 1 - begin) * right
@@ -163,10 +168,10 @@ def _ball(
     count: ti.template(), vertex: ti.template(), globe: ti.template(), near: ti.template(),
 ):  # fmt: skip
     """Put a ball into pixels, as `_triangle` does."""
-    p = 5 * ball[s, 0]
+    p = 5 * ball[3 * s]
     if real(vertex[p + 2]) > 0.0:
         reach, x, y = globe_reach(s, number, globe), real(vertex[p]), real(vertex[p + 1])
-        own = rgb_of(ball[s, 1])
+        own = rgb_of(ball[3 * s + 1])
         for j in range(first_pixel(y - reach, y0, y1), first_pixel(y + reach, y0, y1)):
             first, last = first_pixel(x - reach, x0, x1), first_pixel(x + reach, x0, x1)
             _widen(near, spans + 2 * (j - y0), first, last)
@@ -189,7 +194,7 @@ def _line(
     count: ti.template(), vertex: ti.template(), near: ti.template(),
 ):  # fmt: skip
     """Put a line with round ends into pixels, as `_triangle` does."""
-    p, q = 5 * line[s, 0], 5 * line[s, 1]
+    p, q = 5 * line[3 * s], 5 * line[3 * s + 1]
     if ti.min(real(vertex[p + 2]), real(vertex[q + 2])) > 0.0:
         x, y = real(vertex[p]), real(vertex[p + 1])
         along, down = real(vertex[q]) - x, real(vertex[q + 1]) - y
@@ -215,7 +220,7 @@ def _line(
                 at = (j + 1) * (w + 2) + i + 1
                 if z > real(near[at]):
                     near[at], near[at + names] = bits(z), 4 * s + LINE
-                    near[at + 2 * names] = line[s, 2]
+                    near[at + 2 * names] = line[3 * s + 2]
                 i += 1 + count[ZERO]
 
 

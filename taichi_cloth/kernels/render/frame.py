@@ -18,7 +18,8 @@ and to. The others, one a chunk, have the pixels that it may touch: x from, to, 
 in the middle of each pixel. A name is -1 where nothing is; on the rim the colour is, too. Then come
 the columns, from and to, of each row of each tile that have something.
 
-Arrays that inner loops use have one dimension: Taichi reads an array's shape at each access.
+All of these but `box` are given in a row: Taichi reads the shape of an array of two dimensions at
+each access.
 """
 
 import taichi as ti
@@ -51,11 +52,6 @@ image = ti.types.ndarray(dtype=ti.i32, ndim=2)
 rows = ti.types.ndarray(dtype=ti.f32, ndim=2)
 numbers = ti.types.ndarray(dtype=ti.f32, ndim=1)
 row = ti.types.ndarray(dtype=ti.i32, ndim=1)
-
-
-@ti.func
-def vector(a: ti.template(), i):
-    return ti.Vector([a[i, 0], a[i, 1], a[i, 2]])
 
 
 @ti.func

@@ -13,9 +13,10 @@ pixels at a time from the top down, as 0xRRGGBB. Shapes are rows of `number` (k,
 
 Of the kind `STROKE` are all places that are at most so far from a line. Its numbers: two ends, two
 that are not used, and how far. A `DISC` is one whose ends are the same; its fifth number is how far
-from its middle shapes above hide it. All other kinds are triangles: three corners, and a number that is not used. The kind
-is the sum of 1, 2 and 4 for each of the sides between corners 0 and 1, 1 and 2, and 2 and 0 that is
-smooth. One that is not hides what is under it as far as a neighbour may begin.
+from its middle shapes above hide it. All other kinds are triangles: three corners, and a number
+that is not used. The kind is the sum of 1, 2 and 4 for each of the sides between corners 0 and 1,
+1 and 2, and 2 and 0 that is smooth. One that is not hides what is under it as far as a neighbour
+may begin.
 """
 
 import taichi as ti

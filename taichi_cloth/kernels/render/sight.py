@@ -29,9 +29,7 @@ from taichi_cloth.kernels.render.frame import (
     real,
     rgb_of,
     row,
-    rows,
     three,
-    vector,
 )
 
 
@@ -66,7 +64,7 @@ def _project(
     vertex: ti.template(),
 ):  # fmt: skip
     """Fill in what is seen of a vertex. normal: (0, 3) where there is no surface."""
-    place = _turned(number, vector(x, v) - three(number, EYE))
+    place = _turned(number, three(x, 3 * v) - three(number, EYE))
     by_depth = 0.0
     # Written so that what is no number fails.
     if (
@@ -78,13 +76,12 @@ def _project(
     for k in ti.static(range(2)):
         vertex[5 * v + k] = bits(number[LENS + 1 + k] + number[LENS] * place[k] * by_depth)
     vertex[5 * v + 2] = bits(by_depth)
-    if v < normal.shape[0]:
-        n = _turned(number, vector(normal, v))
-        n = n / ti.max(n.norm(), 1e-20)
+    if 3 * v < normal.shape[0]:
+        n = _turned(number, three(normal, 3 * v))
         sheen = _sheen(number, n, place)
         for k in ti.static(range(2)):
             lit = light(number, n * (1.0 - 2.0 * k))
-            own = rgb_of(side[v, k])
+            own = rgb_of(side[2 * v + k])
             vertex[5 * v + 3 + k] = packed(lit * own + sheen * (0.35 + 0.65 * own), FINE)
 
 
@@ -93,10 +90,10 @@ def _fill_globe(
     s, x: ti.template(), ball: ti.template(), number: ti.template(), globe: ti.template()
 ):
     """Find where a ball is, and how large it is, or the least of which one sees something."""
-    place = _turned(number, vector(x, ball[s, 0]) - three(number, EYE))
+    place = _turned(number, three(x, 3 * ball[3 * s]) - three(number, EYE))
     for k in ti.static(range(3)):
         globe[4 * s + k] = place[k]
-    globe[4 * s + 3] = ti.max(real(ball[s, 2]), 0.8 * place[2] / number[LENS])
+    globe[4 * s + 3] = ti.max(real(ball[3 * s + 2]), 0.8 * place[2] / number[LENS])
 
 
 @ti.func
@@ -118,11 +115,11 @@ def _bound(
     for k in range(3):
         v = 0
         if kind == TRIANGLE:
-            v = corner[s, k]
+            v = corner[3 * s + k]
         elif kind == BALL:
-            v = ball[s, 0]
+            v = ball[3 * s]
         else:
-            v = line[s, ti.min(k, 1)]
+            v = line[3 * s + ti.min(k, 1)]
         place = ti.Vector([real(vertex[5 * v]), real(vertex[5 * v + 1])])
         low, high = ti.min(low, place), ti.max(high, place)
         seen = ti.min(seen, real(vertex[5 * v + 2]))
@@ -138,12 +135,12 @@ def _bound(
 @kernel
 def see(
     kinds: ti.template(),
-    x: rows,
-    normal: rows,
-    side: image,
-    corner: image,
-    ball: image,
-    line: image,
+    x: numbers,
+    normal: numbers,
+    side: row,
+    corner: row,
+    ball: row,
+    line: row,
     number: numbers,
     count: row,
     vertex: row,
