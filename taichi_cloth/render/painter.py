@@ -53,7 +53,7 @@ def discs(
     number = np.empty((len(centre), 7), np.float32)
     number[:, 4] = hidden
     number[:, :2], number[:, 2:4], number[:, 6] = centre, centre, radius
-    return Shapes(number, _what(len(centre), paint.STROKE, color))
+    return Shapes(number, _what(len(centre), paint.DISC, color))
 
 
 def triangles(corner: np.ndarray, smooth: np.ndarray | int, color: np.ndarray | int) -> Shapes:

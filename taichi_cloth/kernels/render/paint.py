@@ -11,9 +11,9 @@ Places are pixels, x right, y down, from the corner at the top left. A picture (
 pixels at a time from the top down, as 0xRRGGBB. Shapes are rows of `number` (k, 7) and `what`
 (k, 2). `what` is their kind and their colour, 0xRRGGBB.
 
-Of the kind `STROKE` are all places that are at most so far from a line. Its numbers: two ends, how
-far from it shapes above hide this one, one that is not used, and how far. A disc is one whose ends
-are the same. All other kinds are triangles: three corners, and a number that is not used. The kind
+Of the kind `STROKE` are all places that are at most so far from a line. Its numbers: two ends, two
+that are not used, and how far. A `DISC` is one whose ends are the same; its fifth number is how far
+from its middle shapes above hide it. All other kinds are triangles: three corners, and a number that is not used. The kind
 is the sum of 1, 2 and 4 for each of the sides between corners 0 and 1, 1 and 2, and 2 and 0 that is
 smooth. One that is not hides what is under it as far as a neighbour may begin.
 """
@@ -24,7 +24,7 @@ from taichi_cloth.front_end.mending import kernel
 from taichi_cloth.kernels.loops import PIECE
 from taichi_cloth.kernels.render.frame import CHUNK, first_pixel, image, row, rows
 
-STROKE = -1
+STROKE, DISC = -1, -2
 DIAGONAL = 0.7072  # from a pixel's middle to its corner
 COMMON = -1.0 / 64  # pixels that triangles overlap at sides that are not smooth
 
@@ -69,7 +69,6 @@ def _stroke(
     by_side = 1.0 / side
     reach = half + DIAGONAL
     whole2 = ti.max(half - DIAGONAL, 0.0) ** 2  # so near, squared, all of a pixel is covered
-    hollow2 = ti.max(number[s, 4] - DIAGONAL, 0.0) ** 2  # and so near it is covered later
     j0 = first_pixel(ti.min(ay, ay + down) - reach, top, bottom)
     j1 = _beyond(ti.max(ay, ay + down) + reach, top, bottom)
     for j in range(j0, j1):
@@ -96,13 +95,50 @@ def _stroke(
                 part = ti.min(ti.max(part, 0.0), 1.0)
                 off_x, off_y = x - part * along, y - part * down
                 away2 = off_x * off_x + off_y * off_y
-                if away2 >= hollow2 and away2 < whole2:
+                if away2 < whole2:
                     frame[j * width + i] = color
-                elif away2 >= hollow2 and away2 < reach * reach:
+                elif away2 < reach * reach:
                     away = ti.max(ti.sqrt(away2), 1e-3)
                     long = ti.max((ti.abs(off_x) + ti.abs(off_y)) / away, 1.0)  # 1 to sqrt 2
                     common = ti.min(away + 0.5 * long, half) - ti.max(away - 0.5 * long, -half)
                     _mix(frame, j * width + i, color, common / long)
+
+
+@ti.func
+def _disc(
+    frame: ti.template(), number: ti.template(), s, width, color, top, bottom, left, right,
+):  # fmt: skip
+    """Paint a disc, as `_stroke` does a line."""
+    ax, ay, half = number[s, 0], number[s, 1], number[s, 6]
+    reach2, whole2 = (half + DIAGONAL) ** 2, ti.max(half - DIAGONAL, 0.0) ** 2
+    hollow2 = ti.max(number[s, 4] - DIAGONAL, 0.0) ** 2
+    for j in range(
+        first_pixel(ay - half - DIAGONAL, top, bottom), _beyond(ay + half + DIAGONAL, top, bottom)
+    ):
+        y = j + 0.5 - ay
+        # From `whole` to `end` all of each pixel is covered, from `hole` to `hole_end` for nothing.
+        along = ti.sqrt(ti.max(reach2 - y * y, 0.0))
+        inside, hidden = ti.sqrt(ti.max(whole2 - y * y, 0.0)), ti.sqrt(ti.max(hollow2 - y * y, 0.0))
+        i, last = first_pixel(ax - along, left, right), _beyond(ax + along, left, right)
+        whole, end = first_pixel(ax - inside, left, right), _beyond(ax + inside, left, right)
+        hole, hole_end = first_pixel(ax - hidden, left, right), _beyond(ax + hidden, left, right)
+        if inside == 0.0:
+            end = whole
+        if hidden == 0.0:
+            hole_end = hole
+        while i < last:
+            if i >= hole and i < hole_end:
+                i = hole_end
+            else:
+                if i >= whole and i < end:
+                    frame[j * width + i] = color
+                else:
+                    x = i + 0.5 - ax
+                    away = ti.max(ti.sqrt(x * x + y * y), 1e-3)
+                    long = ti.max((ti.abs(x) + ti.abs(y)) / away, 1.0)  # 1 to sqrt 2
+                    common = ti.min(away + 0.5 * long, half) - ti.max(away - 0.5 * long, -half)
+                    _mix(frame, j * width + i, color, common / long)
+                i += 1
 
 
 @ti.func
@@ -186,7 +222,9 @@ def _tile(
         k = tiles + c
         if box[k, 2] < bottom and box[k, 3] > top and box[k, 0] < right and box[k, 1] > left:
             for s in range(c * CHUNK, ti.min((c + 1) * CHUNK, what.shape[0])):
-                if what[s, 0] < 0:
+                if what[s, 0] == DISC:
+                    _disc(frame, number, s, width, what[s, 1], top, bottom, low, high)
+                elif what[s, 0] == STROKE:
                     _stroke(frame, number, s, width, what[s, 1], top, bottom, low, high)
                 elif ti.static(triangles):
                     _triangle(
