@@ -7,8 +7,12 @@ own. Modules in this folder that are not named test_... hold what tests share, a
 """
 
 import os
+import sys
+from pathlib import Path
 
 os.environ["TI_SKIP_VERSION_CHECK"] = "ON"
+# The checkout's `bench`. Last, so that the package is the one that is installed.
+sys.path.append(str(Path(__file__).parents[1]))
 
 import pytest
 from commands import Commands

@@ -58,8 +58,8 @@ def compile_frame(scene, method, precision):
 
     scene: `DRAWING` compiles pictures of a plane and of space instead.
     """
+    from bench.agreement import GIVEN
     from taichi_cloth import runtime
-    from taichi_cloth.benchmarks.agreement import GIVEN
     from taichi_cloth.errors import InputError, SimulationFailure
     from taichi_cloth.scene import library
     from taichi_cloth.simulation.simulation import Simulation

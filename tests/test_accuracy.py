@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from selection import mostly_thorough, thorough
 
-from taichi_cloth.benchmarks.accuracy import (
+from bench.accuracy import (
     command,
     experiments,
     friction,

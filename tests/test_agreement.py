@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from selection import thorough
 
-from taichi_cloth.benchmarks import agreement
-from taichi_cloth.benchmarks.contest import Bench
+from bench import agreement
+from bench.contest import Bench
 
 
 @pytest.fixture

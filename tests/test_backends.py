@@ -9,8 +9,8 @@ from commands import command
 from goldens import GOLDEN, golden
 from selection import as_thorough, mostly_thorough, thorough
 
+from bench.accuracy.matrix import EVERYTHING
 from taichi_cloth import runtime
-from taichi_cloth.benchmarks.accuracy.matrix import EVERYTHING
 from taichi_cloth.errors import InputError
 
 

@@ -14,19 +14,22 @@ from goldens import golden
 from lacking import needs_compiler, needs_peers
 from selection import thorough
 
-from taichi_cloth import benchmarks, runtime
-from taichi_cloth.benchmarks import (
+from bench import (
+    PARTS,
     cloths,
     compiled,
     contest,
+    module_of,
     newton,
     objects,
     objects_inlined,
     report,
+    summary,
 )
-from taichi_cloth.benchmarks import meshes as meshes_part
-from taichi_cloth.benchmarks import structural as structural_part
-from taichi_cloth.benchmarks import warp as warp_part
+from bench import meshes as meshes_part
+from bench import structural as structural_part
+from bench import warp as warp_part
+from taichi_cloth import runtime
 from taichi_cloth.cli.main import main
 from taichi_cloth.errors import InputError
 from taichi_cloth.measuring import machine
@@ -103,7 +106,7 @@ def test_the_compiled_mesh_agrees_with_ours_in_every_order(bench, pool):
         entered = compiled.enter_compiled(
             bench,
             order,
-            "taichi_cloth.benchmarks.meshes:CompiledMesh",
+            "bench.meshes:CompiledMesh",
             {"side": side, "order": order},
             part="meshes",
             steps=substeps,
@@ -143,12 +146,12 @@ def test_cloth_of_warp_is_ours(tmp_path):
 # Contests
 
 
-def enter_objects(bench, name="objects", kind="taichi_cloth.benchmarks.seed:Program"):
+def enter_objects(bench, name="objects", kind="bench.seed:Program"):
     return bench.enter(
         "seed",
         name,
         kind,
-        {"module": "taichi_cloth.benchmarks.objects_inlined"},
+        {"module": "bench.objects_inlined"},
         library="objects",
         precision="f64",
         threads=1,
@@ -175,7 +178,7 @@ def test_contestants_take_turns_and_are_timed(bench):
 
 
 def test_contestants_that_fail_are_left_out(bench):
-    assert enter_objects(bench, "absent", "taichi_cloth.benchmarks.seed:Absent") is None
+    assert enter_objects(bench, "absent", "bench.seed:Absent") is None
     dying, lasting = enter_objects(bench, "dying"), enter_objects(bench, "lasting")
     dying.key = "nobody"
     assert bench.race("seed", [dying, lasting]) == [lasting]
@@ -191,10 +194,10 @@ def test_contestants_that_fail_are_left_out(bench):
 def test_each_part_is_described_and_measures(capsys):
     assert main(["bench", "--help"]) == 0
     shown = " ".join(capsys.readouterr().out.split())
-    for part in benchmarks.PARTS:
-        module = importlib.import_module(benchmarks.module_of(part))
+    for part in PARTS:
+        module = importlib.import_module(module_of(part))
         assert inspect.isgeneratorfunction(module.measure) and part == module.PART
-        assert benchmarks.summary(part) in shown
+        assert summary(part) in shown
 
 
 @pytest.mark.parametrize(
@@ -307,7 +310,7 @@ def test_results_that_cannot_be_joined_are_refused_before_measuring(
     report.write(path, {"processor": "Fast: 3 GHz"}, results())
     path.write_bytes(damage(path.read_bytes()))
     before = path.read_bytes()
-    monkeypatch.setattr("taichi_cloth.benchmarks.command._measure", None)
+    monkeypatch.setattr("bench.command._measure", None)
     assert main(["bench", "seed", "--output", str(tmp_path)]) == 2
     out, err = capsys.readouterr()
     assert says in err and str(path) in err and err.count("\n") == 1 and not out
@@ -332,7 +335,7 @@ def test_tables_show_speed_error_and_missed_targets(tmp_path):
 
 def test_documented_figures_are_those_of_the_committed_results():
     text = SPEED.read_text()
-    assert {part for part, _ in report.used(text)} == {"machine", *benchmarks.PARTS}
+    assert {part for part, _ in report.used(text)} == {"machine", *PARTS}
     assert report.fill(text, RESULTS, "none: each marker names its file") == text
 
 
@@ -365,7 +368,7 @@ def test_what_an_interrupted_part_has_measured_is_kept(tmp_path, monkeypatch, ca
             raise KeyboardInterrupt
 
     monkeypatch.setitem(sys.modules, "measures", SimpleNamespace(measure=measure))
-    monkeypatch.setattr("taichi_cloth.benchmarks.command.module_of", lambda part: "measures")
+    monkeypatch.setattr("bench.command.module_of", lambda part: "measures")
     asked = ["bench", "gpu", "--output", str(tmp_path)]
     stops = True
     for speed in (0.5, 1.0):

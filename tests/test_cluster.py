@@ -22,8 +22,8 @@ import pytest
 from selection import thorough
 from test_journal import SMALL, TIMED
 
-from taichi_cloth.benchmarks.accuracy import command as accuracy
-from taichi_cloth.benchmarks.accuracy import matrix
+from bench.accuracy import command as accuracy
+from bench.accuracy import matrix
 from taichi_cloth.cli.main import main
 from taichi_cloth.errors import InputError
 from taichi_cloth.kernels import methods

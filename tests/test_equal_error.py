@@ -10,11 +10,11 @@ import pytest
 from lacking import needs_peers
 from selection import thorough
 
-from taichi_cloth.benchmarks import contest, equal_error, newton_model, report
-from taichi_cloth.benchmarks.equal_error import contestants, picture, problems, runs_file
-from taichi_cloth.benchmarks.equal_error.scipy_runs import ScipyTrial, jacobian_pattern
-from taichi_cloth.benchmarks.equal_error.search import Choice, Tried, cheapest, climb, search_all
-from taichi_cloth.benchmarks.equal_error.truth import Truth
+from bench import contest, equal_error, newton_model, report
+from bench.equal_error import contestants, picture, problems, runs_file
+from bench.equal_error.scipy_runs import ScipyTrial, jacobian_pattern
+from bench.equal_error.search import Choice, Tried, cheapest, climb, search_all
+from bench.equal_error.truth import Truth
 from taichi_cloth.cli.main import main
 from taichi_cloth.console import percent
 from taichi_cloth.errors import InputError

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from selection import as_thorough
 
-from taichi_cloth.benchmarks.cloths import sheet
-from taichi_cloth.benchmarks.equal_error.problems import NEAR, drape
+from bench.cloths import sheet
+from bench.equal_error.problems import NEAR, drape
 from taichi_cloth.scene.library import build
 from taichi_cloth.scene.model import Springs
 from taichi_cloth.scene.obstacles import Obstacle

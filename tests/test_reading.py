@@ -15,7 +15,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from selection import as_thorough
 
-from taichi_cloth import benchmarks
+import bench
+from bench.options import BenchOptions
 from taichi_cloth.cli import main as command_line
 from taichi_cloth.cli import scene_command
 from taichi_cloth.errors import InputError, nearest
@@ -24,7 +25,7 @@ from taichi_cloth.scene import assignments, library, scenefile
 from taichi_cloth.scene.checks import validate
 from taichi_cloth.scene.reassignment import reassigned
 from taichi_cloth.settings.arguments import CommandParser, value_of
-from taichi_cloth.settings.options import BenchOptions, parameters_of
+from taichi_cloth.settings.options import parameters_of
 from taichi_cloth.ui import interaction
 
 SECONDS = 5.0  # of the processor, far more than any document takes: each ends
@@ -288,8 +289,8 @@ def test_arguments(examples, capsys, tmp_path, monkeypatch):
         parser.declare("flags", declared)
         said = parser.read(words)
         for part in said.others:
-            if part not in benchmarks.PARTS:
-                raise InputError(f"bench: unknown part '{part}'; {nearest(part, benchmarks.PARTS)}")
+            if part not in bench.PARTS:
+                raise InputError(f"bench: unknown part '{part}'; {nearest(part, bench.PARTS)}")
         return {name: value_of(name, declared[name], text) for name, text in said.texts.items()}
 
     @each(examples, command_lines())

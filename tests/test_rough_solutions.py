@@ -6,7 +6,7 @@ import inside
 import numpy as np
 import pytest
 
-from taichi_cloth.benchmarks.equal_error.problems import warp
+from bench.equal_error.problems import warp
 from taichi_cloth.kernels.solvers import stages
 from taichi_cloth.simulation.simulation import Simulation
 

@@ -6,10 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import taichi as ti
-from intersection_sweep import SCENES, row
-from intersections import intersecting_pairs
 from selection import as_thorough
 
+from bench.experiments.intersection_sweep import SCENES, row
+from bench.experiments.intersections import intersecting_pairs
 from taichi_cloth.errors import SimulationFailure
 from taichi_cloth.front_end.mending import kernel
 from taichi_cloth.kernels import methods
@@ -94,7 +94,7 @@ def test_sheets_that_fall_on_each_other_never_intersect(pool, method, topology):
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", ["drape", "stack"])
 def test_coarse_built_in_scenes_never_intersect(device, name):
-    """All of them, at three resolutions and from more starts: `tests/intersection_sweep.py`."""
+    """At three resolutions and from more starts: `bench/experiments/intersection_sweep.py`."""
     with_any = row(name, SCENES[name][1][0], 1, seconds=1.5)[4]
     assert with_any == 0
 

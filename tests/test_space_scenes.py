@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from intersections import intersecting_pairs
 
+from bench.experiments.intersections import intersecting_pairs
 from taichi_cloth.scene import library
 from taichi_cloth.scene.library import pull, trampoline, twist
 from taichi_cloth.scene.model import Particles, Scene, World

@@ -75,9 +75,7 @@ ROOMS = {
     "advice": {*BASE, "console", "error_meter", "measuring", "runtime", "sweeps", "trade"},
     "budgets": {"console", "error_meter", "kernels", "limits", "runtime", "settings", "simulation"},
     "post_mortem": {"files", "kernels", "limits", "runtime", "scene", "settings", "simulation"},
-    "benchmarks": {*BASE, "console", "measuring", "runtime", "simulation", "sweeps", "trade"}
-    | {"vulkan"},
-    "cli": {*BASE, "benchmarks", "beside", "budgets", "comparison", "console", "error_meter"}
+    "cli": {*BASE, "beside", "budgets", "comparison", "console", "error_meter"}
     | {"imports"}
     | {"limits", "measuring", "post_mortem", "render", "runtime", "simulation", "ui", "vulkan"},
     "__main__": {"cli"},

@@ -11,10 +11,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from taichi_cloth import benchmarks, console, runtime
+import bench
+from bench import report as bench_report
+from taichi_cloth import console, runtime
 from taichi_cloth.advice import tune
 from taichi_cloth.advice.choice import Target
-from taichi_cloth.benchmarks import report as bench_report
 from taichi_cloth.cli import doctor
 from taichi_cloth.cli.main import COMMANDS, main
 from taichi_cloth.explain import command as explain
@@ -276,7 +277,7 @@ def test_explain_fits(width, capsys):
 
 def test_bench_fits(width, capsys):
     results = [row for row in bench_report.read(RESULTS)[1] if row.rate is not None]
-    for part in benchmarks.PARTS:
+    for part in bench.PARTS:
         measured = [row for row in results if row.part == part]
-        bench_report.show(f"{part}: {benchmarks.summary(part)}", measured, console.output())
+        bench_report.show(f"{part}: {bench.summary(part)}", measured, console.output())
         assert_fits(capsys.readouterr().out, width, *(row.contestant for row in measured))

@@ -10,7 +10,7 @@ import pytest
 from discrete import DISCRETE
 from selection import mostly_thorough, thorough
 
-from taichi_cloth.benchmarks.equal_error.problems import warp
+from bench.equal_error.problems import warp
 from taichi_cloth.errors import RunFailure, SimulationFailure
 from taichi_cloth.kernels import methods
 from taichi_cloth.scene import library

@@ -1,0 +1,1 @@
+"""Programs that measured what documents and notes say: `python -m bench.experiments.NAME`."""
