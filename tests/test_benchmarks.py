@@ -223,6 +223,14 @@ def test_bad_arguments_are_refused_in_one_line(arguments, says, capsys, tmp_path
     assert says in err and err.count("\n") == 1 and not out
 
 
+def test_without_a_checkout_it_says_where_it_runs(monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("taichi_cloth.cli.bench.__file__", str(tmp_path / "a" / "b" / "bench.py"))
+    monkeypatch.setattr("sys.path", [])
+    assert main(["bench", "seed"]) == 2
+    assert "run it in a checkout of taichi-cloth" in capsys.readouterr().err
+
+
 # ------------------------------------------------------------------------------------------
 # What is absent
 

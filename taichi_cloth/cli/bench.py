@@ -27,9 +27,9 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def found() -> Path | None:
-    """The checkout that one stands in, or that this package was imported from."""
+    """The checkout that one stands in, that this package is from, or that Python looks in."""
     here = Path.cwd()
-    for folder in (here, *here.parents, Path(__file__).parents[2]):
+    for folder in (here, *here.parents, Path(__file__).parents[2], *map(Path, sys.path)):
         if (folder / "bench" / OURS).exists():
             return folder
     return None
