@@ -228,7 +228,7 @@ class Rasterizer:
     def lay(self, background: int, floor: Floor | None, lens: Lens) -> None:
         """Have what lies behind everything: a floor, or none. background: 0xRRGGBB."""
         numbers = NO_NUMBERS if floor is None else floor.numbers()
-        looked = np.array([lens.focal, *lens.middle], np.float32)
+        looked = np.array([lens.focal, *lens.middle, 0.0], np.float32)
         w, h = self.width, self.height
         behind.lay(background, numbers, looked, w, h, h * behind.ROWS, self._under)
         self.fresh = True

@@ -83,47 +83,31 @@ def behind(
 
 
 @ti.func
-def _lay_row(j, w, h, background, floor: ti.template(), lens: ti.template(), under: ti.template()):
-    """Fill in a row of what lies behind everything, as `lay` does."""
-    none = rgb_of(background)
-    for i in range(w):
-        under[j * w + i], under[(h + j) * w + i] = 0, background
-    if floor.shape[0] > 0:
-        above, normal = floor[0], -1.0 * three(floor, 1)
-        along, across = three(floor, 4), three(floor, 7)
-        by_side, by_reach2, by_lens = 1.0 / floor[14], 1.0 / (floor[15] * floor[15]), 1.0 / lens[0]
-        one, other = three(floor, 16), three(floor, 19)
-        for i in range(w):
-            total, seen, depth = ti.Vector([0.0] * 3), 0, 0.0
-            for q in ti.static(range(4)):
-                way = ti.Vector(
-                    [
-                        (i + (0.25 + 0.5 * (q % 2)) - lens[1]) * by_lens,
-                        (j + (0.25 + 0.5 * (q // 2)) - lens[2]) * by_lens,
-                        1.0,
-                    ]
-                )
-                rgb, deep = none, normal.dot(way) / above
-                if deep > 0.0:
-                    z = 1.0 / deep
-                    a, b = z * along.dot(way) + floor[10], z * across.dot(way) + floor[11]
-                    away2 = (a - floor[12]) * (a - floor[12]) + (b - floor[13]) * (b - floor[13])
-                    share = ti.min(1.25 * (1.0 - away2 * by_reach2), 1.0)
-                    if share > 0.0:
-                        odd = (
-                            ti.cast(ti.floor(a * by_side), ti.i32)
-                            + ti.cast(ti.floor(b * by_side), ti.i32)
-                        ) & 1
-                        rgb = none + share * (ti.select(odd == 1, other, one) - none)
-                        seen += 1
-                        if share > 0.5:
-                            depth = ti.max(depth, deep)
-                total += rgb
-            if seen > 0:
-                code = packed(0.25 * total, 256)
-                if seen == 4:
-                    code = code | FLOOR
-                under[j * w + i], under[(h + j) * w + i] = bits(depth), code
+def _tiled(i, j, none, zero, floor: ti.template(), lens: ti.template()):
+    """The colour of a floor in a pixel, and one over its depth; no bit `FLOOR` where it is not all.
+
+    It is the mean of four samples. none: the background's channels. zero: as `frame.ZERO` is.
+    """
+    above, normal = floor[0], -1.0 * three(floor, 1)
+    along, across = three(floor, 4), three(floor, 7)
+    total, seen, depth = ti.Vector([0.0] * 3), 0, 0.0
+    for q in range(4 + zero):
+        x, y = i + 0.25 + 0.5 * (q & 1) - lens[1], j + 0.25 + 0.5 * (q >> 1) - lens[2]
+        way = ti.Vector([x / lens[0], y / lens[0], 1.0])
+        rgb, deep = none, normal.dot(way) / above
+        if deep > 0.0:
+            a, b = along.dot(way) / deep + floor[10], across.dot(way) / deep + floor[11]
+            away2 = (a - floor[12]) ** 2 + (b - floor[13]) ** 2
+            share = ti.min(1.25 * (1.0 - away2 / floor[15] ** 2), 1.0)
+            if share > 0.0:
+                column = ti.cast(ti.floor(a / floor[14]), ti.i32)
+                odd = (column + ti.cast(ti.floor(b / floor[14]), ti.i32)) & 1
+                rgb = none + share * (three(floor, 16 + 3 * odd) - none)
+                seen += 1
+                if share > 0.5:
+                    depth = ti.max(depth, deep)
+        total += rgb
+    return packed(0.25 * total, 256) | ti.select(seen == 4, FLOOR, 0), depth
 
 
 @kernel
@@ -138,11 +122,19 @@ def lay(
 ):
     """Fill in what lies behind everything: a floor of tiles that fades out, or one colour.
 
-    lens: (3,), pixels per unit of slope, the pixel (x, y) looked at. floor: () for none, else
-    (22,): how far the eye is above it; its unit normal and its two axes; where the eye is along
-    these, and where the middle of what is looked at; the side of a tile, and the distance from the
-    middle at which the floor ends; then the colours of both kinds of tile. iterations: h * ROWS.
+    lens: (4,), pixels per unit of slope, the pixel (x, y) looked at, and 0, as `frame.ZERO` is.
+    floor: () for none, else (22,): how far the eye is above it; its unit normal and its two axes;
+    where the eye is along these, and where the middle of what is looked at; the side of a tile, and
+    the distance from the middle at which the floor ends; then the colours of both kinds of tile.
+    iterations: h * ROWS.
     """
-    for j in range(iterations):
-        if j % ROWS == 0:
-            _lay_row(j // ROWS, w, h, background, floor, lens, under)
+    for iteration in range(iterations):
+        if iteration % ROWS == 0:
+            j, none, zero = iteration // ROWS, rgb_of(background), ti.cast(lens[3], ti.i32)
+            i = 0
+            while i < w:
+                code, depth = background, 0.0
+                if floor.shape[0] > 0:
+                    code, depth = _tiled(i, j, none, zero, floor, lens)
+                under[j * w + i], under[(h + j) * w + i] = bits(depth), code
+                i += 1 + ti.cast(lens[3], ti.i32)
