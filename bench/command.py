@@ -186,7 +186,7 @@ def _plot_contacts(folder: Path, name: str, path: Path) -> bool:
 
 
 def _plot_accuracy(folder: Path, name: str, path: Path) -> bool:
-    """Whether the search was made on that machine, and so could be plotted."""
+    """True if the search was made on that machine, and so could be plotted."""
     search = folder / f"{name}{runs_file.SUFFIX}"
     if search.exists():
         write_whole(path, picture.draw(runs_file.read(search)))

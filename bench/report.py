@@ -53,17 +53,17 @@ class Measurement:
 
     @property
     def is_ratio(self) -> bool:
-        """Whether it compares others, instead of being timed itself."""
+        """True if it compares others, instead of being timed itself."""
         return self.seconds is None and self.rate is not None
 
     @property
     def is_measured(self) -> bool:
-        """Whether it is a result, and not a gap."""
+        """True if it is a result, and not a gap."""
         return self.seconds is not None or self.is_ratio
 
     @property
     def met(self) -> bool | None:
-        """Whether the target is met; None without one."""
+        """True if the target is met; None without one."""
         if not self.target or self.rate is None:
             return None
         sign, _, limit = self.target.partition(" ")

@@ -61,7 +61,7 @@ class Device:
 
     @property
     def compensated(self) -> bool:
-        """Whether positions and velocities keep what rounding takes from their sums."""
+        """True if positions and velocities keep what rounding takes from their sums."""
         return self.precision == "compensated"
 
     def describe(self) -> str:
@@ -108,20 +108,20 @@ def current_device() -> Device:
 
 
 def still_runs(device: Device) -> bool:
-    """Whether `device` is of the last `start`: what an earlier one allocated is gone already, also
+    """True if `device` is of the last `start`: what an earlier one allocated is gone already, also
     where Taichi was started by another one since.
     """
     return _device is device and _is_ours()
 
 
 def _is_ours() -> bool:
-    """Whether Taichi's program is that of the last `start`."""
+    """True if Taichi's program is that of the last `start`."""
     program = _start.program() if _start else None
     return _start is not None and program is not None and program is _start.runtime().prog
 
 
 def in_its_thread() -> bool:
-    """Whether this is the thread that has started Taichi."""
+    """True if this is the thread that has started Taichi."""
     return _start is None or threading.current_thread() is _start.thread()
 
 
@@ -137,7 +137,7 @@ def refuse_other_threads() -> None:
 
 
 def display_available() -> bool:
-    """Whether a window can open. Asked before Taichi is, which ends the process if it cannot."""
+    """True if a window can open. Asked before Taichi is, which ends the process if it cannot."""
     if not sys.platform.startswith("linux"):
         return True
     name = os.environ.get("DISPLAY")
@@ -160,7 +160,7 @@ def display_available() -> bool:
 
 
 def vulkan_available() -> bool:
-    """Whether Taichi finds a Vulkan driver."""
+    """True if Taichi finds a Vulkan driver."""
     mending.imported()
     from taichi._lib import core
 
@@ -382,7 +382,7 @@ def kernel_cache() -> Path:
 
 
 def keeps_kernels() -> bool:
-    """Whether later processes find what this one compiles, since `start`."""
+    """True if later processes find what this one compiles, since `start`."""
     folder = str(kernel_cache())
     return folder not in _passing_caches and os.access(folder, os.W_OK)
 

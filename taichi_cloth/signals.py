@@ -99,7 +99,7 @@ class Ending:
             self._restart(not was)
 
     def _restart(self, goes_on: bool) -> None:
-        """Whether what a library waits for goes on after a signal, as if none had come."""
+        """True if what a library waits for goes on after a signal, as if none had come."""
         if hasattr(signal, "siginterrupt"):
             for number in self._numbers:
                 signal.siginterrupt(number, not goes_on)

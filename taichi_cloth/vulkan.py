@@ -13,7 +13,7 @@ SOFTWARE = re.compile("llvmpipe|lavapipe|swiftshader|softpipe|basic render", re.
 
 
 def is_software(device: str) -> bool:
-    """Whether a device is a program on the processor, by its name."""
+    """True if a device is a program on the processor, by its name."""
     return bool(SOFTWARE.search(device))
 
 

@@ -35,7 +35,7 @@ class Problem:
 
     @property
     def touching(self) -> bool:
-        """Whether there is what particles can touch: no method is of high order beyond that."""
+        """True if there is what particles can touch: no method is of high order beyond that."""
         return bool(self.scene.obstacles) or self.scene.world.ground is not None
 
     @cached_property

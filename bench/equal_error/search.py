@@ -60,7 +60,7 @@ class Tried:
     failed: str = ""
 
     def meets(self, level: float) -> bool:
-        """Whether it was run and timed, and its error is at most `level`."""
+        """True if it was run and timed, and its error is at most `level`."""
         return self.error is not None and self.seconds is not None and self.error <= level
 
 

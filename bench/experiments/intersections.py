@@ -42,7 +42,7 @@ def _volume(a, b, c, d):
 
 
 def _pierces(p, q, a, b, c):
-    """Whether segments p q meet the triangles a b c, their rims included; not within one plane."""
+    """True if segments p q meet the triangles a b c, their rims included; not within one plane."""
     above, below = _volume(a, b, c, p), _volume(a, b, c, q)
     crosses = (above * below <= 0) & ((above != 0) | (below != 0))
     sides = np.stack([_volume(p, q, a, b), _volume(p, q, b, c), _volume(p, q, c, a)])
@@ -59,7 +59,7 @@ def _apart(x, one, other):
 
 
 def _overlap_in_a_plane(x, one, other):
-    """Whether triangles that lie in one plane, exactly, have a point in common."""
+    """True if triangles that lie in one plane, exactly, have a point in common."""
     a, b, c = x[one].transpose(1, 0, 2)
     flat = np.ones(len(one), bool)
     for k in range(3):
@@ -73,7 +73,7 @@ def _overlap_in_a_plane(x, one, other):
 
 
 def _separated(one, other):
-    """Whether a side of one of two triangles in a plane, (3, 2) each, keeps them apart."""
+    """True if a side of one of two triangles in a plane, (3, 2) each, keeps them apart."""
     for first, second in ((one, other), (other, one)):
         for k in range(3):
             along = first[k] - first[k - 1]

@@ -69,7 +69,7 @@ class Target:
         return self.penetration is None or found.is_within(self.penetration)
 
     def refuses(self, second: Second) -> bool:
-        """Whether a second is known to be more wrong than is wanted."""
+        """True if a second is known to be more wrong than is wanted."""
         error = second.relative if self.relative else second.error
         return self.error is not None and error is not None and error > self.error
 
@@ -99,7 +99,7 @@ class Figures:
         return cls(error, relative, frame_seconds, row.penetration_max, known, unknown)
 
     def is_within(self, penetration: float) -> bool:
-        """Whether its deepest penetration is at most this."""
+        """True if its deepest penetration is at most this."""
         return self.penetration is not None and self.penetration <= penetration
 
     def describe(self) -> str:
@@ -140,7 +140,7 @@ class Choice:
 
     @property
     def left(self) -> int:
-        """How many rows nobody has looked at."""
+        """The number of rows that nobody has looked at."""
         return len(self.usable) - len(self._seen)
 
     def candidates(self) -> Iterator[Row]:
@@ -161,12 +161,12 @@ class Choice:
                 yield judged
 
     def _is_within(self, row: Row) -> bool:
-        """Whether a row keeps to the penetration that is allowed."""
+        """True if a row keeps to the penetration that is allowed."""
         deepest = self._target.penetration
         return deepest is None or (row.penetration_max or 0.0) <= deepest
 
     def _is_hopeless(self, row: Row) -> bool:
-        """Whether a row is expected to miss the target by far, by those that were judged.
+        """True if a row is expected to miss the target by far, by those that were judged.
 
         With more substeps an error falls by the method's order at most; in f32 it is no smaller
         than in f64.
@@ -232,7 +232,7 @@ class Choice:
 
 
 def is_measured(row: Row) -> bool:
-    """Whether it has figures."""
+    """True if it has figures."""
     return row.ok and row.told()[0] is not None and row.wall_seconds is not None
 
 

@@ -255,7 +255,7 @@ class Judges:
 
 
 def _is_sure(second: Second | None) -> bool:
-    """Whether a second is known as a whole."""
+    """True if a second is known as a whole."""
     return second is not None and not second.trouble
 
 

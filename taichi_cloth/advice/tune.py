@@ -334,7 +334,7 @@ def confirm(
 
 
 def _would_miss(row: Row, failed: Sequence[Attempt], target: Target) -> bool:
-    """Whether a row's errors, by as much larger as those of all that failed, miss by far."""
+    """True if a row's errors, by as much larger as those of all that failed, miss by far."""
     expected = row.told()[1]
     if target.error is None or not target.relative or expected is None:
         return False

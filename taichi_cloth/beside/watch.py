@@ -239,7 +239,7 @@ class Watch:
             self._broke_at = row.frame
 
     def _touches_over(self, frame: int) -> bool:
-        """Whether nobody looks for touches any more."""
+        """True if nobody looks for touches any more."""
         found = self._touch is not None and (
             None not in (self._touch.a, self._touch.b) or frame > self._touched_at + PATIENCE
         )

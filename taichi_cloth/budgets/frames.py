@@ -125,7 +125,7 @@ class FrameTimes:
         return max((n for n, t in zip(RUNGS, takes, strict=True) if t <= self.budget), default=1)
 
     def too_slow(self, substeps: int) -> bool:
-        """Whether frames with so many substeps are late because they take long to simulate."""
+        """True if frames with so many substeps are late because they take long to simulate."""
         if len(self._frames) < FEW or self.late(substeps) <= 1 - KEPT:
             return False
         usual = self._usual(substeps) > USUALLY * self.budget
@@ -224,7 +224,7 @@ class FrameTimes:
         return float(np.median(self.would_take(substeps)))
 
     def _barred(self, n: int) -> bool:
-        """Whether so many substeps were too much a short while ago."""
+        """True if so many substeps were too much a short while ago."""
         return any(n >= m and until > self._count for m, (until, _) in self._too_many.items())
 
 

@@ -129,7 +129,7 @@ class Keeper:
 
     @property
     def chooses_method(self) -> bool:
-        """Whether another method may be chosen."""
+        """True if another method may be chosen."""
         return not self._why_kept()
 
     def _why_kept(self) -> str:
@@ -203,7 +203,7 @@ class Keeper:
 
     @property
     def has_room(self) -> bool:
-        """Whether more substeps than the fewest were chosen."""
+        """True if more substeps than the fewest were chosen."""
         return self.choice is not None and self.choice.substeps > self._stable.least()
 
     def _look(self) -> None:
@@ -326,7 +326,7 @@ class StableSteps:
         return (method, sim.dt, str(scene.world.more)), (scene.springs, scene.stencils)
 
     def changed(self) -> bool:
-        """Whether the limit may be tighter than it was.
+        """True if the limit may be tighter than it was.
 
         What is held weighs as much more as its step needs, and is as it was when it is let go.
         """

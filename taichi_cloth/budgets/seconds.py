@@ -78,7 +78,7 @@ class Second:
 
     @property
     def helpless(self) -> bool:
-        """Whether steps that are much finer were tried and were no help."""
+        """True if steps that are much finer were tried and were no help."""
         substeps, error = self.finest
         return substeps >= FARTHEST * self.substeps and error > HELPED * self.error
 
@@ -134,7 +134,7 @@ class SecondErrors:
 
     @property
     def missed(self) -> bool:
-        """Whether the last second was wrong by more than the goal."""
+        """True if the last second was wrong by more than the goal."""
         last = self._lately[-1] if self._lately else None
         return last is not None and not last.trouble and last.error > self.goal
 
@@ -196,7 +196,7 @@ class SecondErrors:
         return float(n * min(more, FARTHEST))
 
     def met(self, second: Second) -> bool:
-        """Whether some of the substeps that were tried had the error that is aimed at."""
+        """True if some of the substeps that were tried had the error that is aimed at."""
         return second.curve[-1][1] <= MARGIN * self.goal if second.curve else True
 
     @property
@@ -206,7 +206,7 @@ class SecondErrors:
 
     @property
     def restless(self) -> bool:
-        """Whether disturbances grow, so that seconds to come may be far worse."""
+        """True if disturbances grow, so that seconds to come may be far worse."""
         return any(self._grew)
 
     def spare(self, most: float = MOST_SPARED) -> list[float]:

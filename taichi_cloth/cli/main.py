@@ -147,7 +147,7 @@ def _abandon(stream: TextIO) -> None:
 
 
 def _lacks_memory(error: Exception) -> bool:
-    """Whether the system refused memory, to Python or to Taichi, which has an error for all."""
+    """True if the system refused memory, to Python or to Taichi, which has an error for all."""
     of_taichi = isinstance(error, RuntimeError) and _REFUSED_MEMORY.search(str(error))
     return isinstance(error, MemoryError) or bool(of_taichi)
 

@@ -263,7 +263,7 @@ def _changes(options: CompareOptions) -> str:
 
 
 def _changes_step(log: Log) -> bool:
-    """Whether a session takes other steps, or another method, than those it began with."""
+    """True if a session takes other steps, or another method, than those it began with."""
     began = {"substeps": 1, "dt": None, "method": None, **log.header}
     found = _set_to(log)
     return any(set(found.get(name, ())) - {began[name]} for name in ("substeps", "dt", "method"))

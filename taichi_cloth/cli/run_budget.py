@@ -90,7 +90,7 @@ class HeldBudget:
 
     @property
     def shortens(self) -> bool:
-        """Whether to hold frames a second would make frames shorter: with the fewest substeps that
+        """True if to hold frames a second would make frames shorter: with the fewest substeps that
         are stable, where there are more, and no such budget has chosen them.
         """
         if self.fixed or (self._keeper is not None and self._keeper.goal.seconds is not None):

@@ -62,7 +62,7 @@ def lanes_of(scene: Scene, options: RunOptions) -> int | str | None:
 
 
 def may_choose(options: RunOptions) -> bool:
-    """Whether a run may take sixteen lanes unasked.
+    """True if a run may take sixteen lanes unasked.
 
     Bits of f32 may differ, so one that names its topology has eight, on every run; and runs beside
     each other have the same ones.
@@ -74,12 +74,12 @@ def may_choose(options: RunOptions) -> bool:
 
 
 def lasts(scene: Scene, options: RunOptions) -> bool:
-    """Whether a run is so long that kernels which run faster may be worth the while."""
+    """True if a run is so long that kernels which run faster may be worth the while."""
     return _is_open(options) or _is_long(scene, options)
 
 
 def soon(scene: Scene, options: RunOptions) -> bool:
-    """Whether a run begins with kernels that compile soon, where no earlier one left faster ones.
+    """True if a run begins with kernels that compile soon, where no earlier one left faster ones.
 
     Nobody wants to wait for a window, and short runs would end before faster ones have paid.
     """
@@ -89,13 +89,13 @@ def soon(scene: Scene, options: RunOptions) -> bool:
 
 
 def _is_open(options: RunOptions) -> bool:
-    """Whether it is a window that stays until somebody closes it."""
+    """True if it is a window that stays until somebody closes it."""
     from taichi_cloth.ui.opening import opens_window
 
     return options.frames is None and opens_window(options.view)
 
 
 def _is_long(scene: Scene, options: RunOptions) -> bool:
-    """Whether a run that ends by itself has more work than `WORTH`."""
+    """True if a run that ends by itself has more work than `WORTH`."""
     in_a_frame = STEPS_OF_AUTO if options.dt == "auto" else options.substeps
     return in_a_frame * (options.frames or HEADLESS_FRAMES) * len(scene.particles) >= WORTH

@@ -87,7 +87,7 @@ class MeasuredErrors:
 
     @property
     def on(self) -> bool:
-        """Whether it measures."""
+        """True if it measures."""
         return self._meter is not None
 
     @property

@@ -200,7 +200,7 @@ def in_short(event: Event, names: tuple[str, str] = ("A", "B")) -> str:
 
 
 def _is_far(found: Comparison) -> bool:
-    """Whether it is by their distance that two runs part, and not by who is there."""
+    """True if it is by their distance that two runs part, and not by who is there."""
     return bool(found.rms[found.time == found.parted].max() > found.limit)
 
 

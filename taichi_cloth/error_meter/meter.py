@@ -101,12 +101,12 @@ class ErrorMeter(Listener):
 
     @property
     def busy(self) -> bool:
-        """Whether a window is being judged."""
+        """True if a window is being judged."""
         return self._task is not None and self._task.is_alive()
 
     @property
     def resting(self) -> bool:
-        """Whether it leaves the processor to the run for a while."""
+        """True if it leaves the processor to the run for a while."""
         return time.perf_counter() < self._rested
 
     @property
@@ -192,7 +192,7 @@ class ErrorMeter(Listener):
         self.recent, self._judged, self.ghost, self._trail = [], None, None, {}
 
     def _is_beyond(self) -> bool:
-        """Whether the run is beyond all that it showed, as one is that was left by a reset, or
+        """True if the run is beyond all that it showed, as one is that was left by a reset, or
         where it went another way.
         """
         frame = self._sim.frame
@@ -373,7 +373,7 @@ def _finest(trials: Sequence[Trial]) -> float:
 
 
 def _apart(one: Verdict, other: Verdict) -> bool:
-    """Whether no frame is in the windows of both."""
+    """True if no frame is in the windows of both."""
     return one.end <= other.first or other.end <= one.first
 
 

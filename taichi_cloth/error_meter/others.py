@@ -36,7 +36,7 @@ class Trial:
 
     @property
     def levels(self) -> int:
-        """How many levels there are at which it may be tried."""
+        """The number of levels at which it may be tried."""
         finer = (self.finest or 0) / self.equal
         return 1 + max(0, math.floor(math.log2(finer) + 1e-9)) if finer > 0 else 1
 

@@ -69,7 +69,7 @@ class Verdict:
 
     @property
     def known(self) -> bool:
-        """Whether there is an error at all."""
+        """True if there is an error at all."""
         return math.isfinite(self.error) and self.scale > 0
 
     @property
@@ -84,7 +84,7 @@ class Verdict:
 
     @property
     def resting(self) -> bool:
-        """Whether nothing moved in it, for the eye: no part of that says anything."""
+        """True if nothing moved in it, for the eye: no part of that says anything."""
         return self.known and self.scale < REST * self.size
 
     @property

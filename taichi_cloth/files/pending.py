@@ -202,7 +202,7 @@ def creation_mask() -> int:
 
 
 def is_device(path: Path) -> bool:
-    """Whether it is neither a file nor a folder, such as /dev/null: it takes all that comes."""
+    """True if it is neither a file nor a folder, such as /dev/null: it takes all that comes."""
     try:
         mode = path.stat().st_mode
     except (OSError, ValueError):  # what cannot be looked at is refused where it is written

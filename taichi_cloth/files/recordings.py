@@ -24,7 +24,7 @@ class Recordings:
 
     @property
     def frames(self) -> int:
-        """How many frames are noted."""
+        """The number of frames that are noted."""
         return max((part.frames for part in self.by_flag().values()), default=0)
 
     def record(self, sim: Recordable, *, last: bool = False) -> None:

@@ -138,7 +138,7 @@ class Trajectory:
 
     @property
     def frames(self) -> int:
-        """How many frames are noted."""
+        """The number of frames that are noted."""
         return len(self._frames)
 
     def record(self, sim: Recordable, *, last: bool = False) -> None:

@@ -56,7 +56,7 @@ def replacements() -> list[Replacement]:
 
 
 def _is_condition(value: Any) -> bool:
-    """Whether a value of the front end is one condition, which is true or false."""
+    """True if a value of the front end is one condition, which is true or false."""
     from taichi.lang.expr import Expr
     from taichi.types.primitive_types import u1
 

@@ -179,13 +179,13 @@ def notes() -> dict[str, Any]:
 
 
 def functions_work() -> bool:
-    """Whether real functions may call others: Taichi is mended, as it is the one that is known."""
+    """True if real functions may call others: Taichi is mended, as it is the one that is known."""
     return _is_as_known()
 
 
 @functools.cache
 def _is_as_known() -> bool:
-    """Whether Taichi has all that is replaced or called here, and reads functions as is known."""
+    """True if Taichi has all that is replaced or called here, and reads functions as is known."""
     imported()
     for of, names in (one for needed in NEEDED for one in needed.items()):
         module = importlib.import_module(f"taichi.lang.{of}")
@@ -336,7 +336,7 @@ def _depth(line: str) -> int:
 
 
 def _says_nothing(line: str) -> bool:
-    """Whether a line is empty, or a comment."""
+    """True if a line is empty, or a comment."""
     return line.lstrip()[:1] in ("", "#")
 
 
@@ -407,12 +407,12 @@ def _dropping(do_compile: Callable[..., None]) -> Callable[..., None]:
 
 
 def _inside_class(level_of_class_stackframe: int) -> bool:
-    """Whether a function is defined in a class, from how many frames up executes that class."""
+    """True if a function is defined in a class, from how many frames up executes that class."""
     return _is_class(sys._getframe(level_of_class_stackframe - 1))
 
 
 def _is_class(frame: FrameType) -> bool:
-    """Whether a frame executes the body of a class."""
+    """True if a frame executes the body of a class."""
     return "__qualname__" in frame.f_locals
 
 
@@ -525,7 +525,7 @@ def _range_of(kind: Any) -> tuple[int, int]:
 
 
 def _is_in_range(kind: Any, value: int) -> bool:
-    """Whether a kind of integers of NumPy's has a value."""
+    """True if a kind of integers of NumPy's has a value."""
     least, most = _range_of(kind)
     return bool(least <= value <= most)
 

@@ -70,7 +70,7 @@ def set_stage(spec: ti.template(), state: ti.template(), stage):
 
 
 def kicks_at_once(spec):
-    """Whether `kick_after` runs `kick` for a pack as soon as it has its forces.
+    """True if `kick_after` runs `kick` for a pack as soon as it has its forces.
 
     state.a is then what the method stored there, until `kick` changes it.
     """
@@ -200,12 +200,12 @@ def _derivatives(spec, part):
 
 
 def resists(spec):
-    """Whether any term on particles has damping."""
+    """True if any term on particles has damping."""
     return bool(_derivatives(spec, "damping"))
 
 
 def binds(spec):
-    """Whether any term on particles has stiffness."""
+    """True if any term on particles has stiffness."""
     return bool(_derivatives(spec, "stiffness"))
 
 

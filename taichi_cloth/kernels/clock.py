@@ -15,12 +15,12 @@ COUNTS = ("first_step",)
 
 
 def timed(spec):
-    """Whether anything that a specialization has asks for the time."""
+    """True if anything that a specialization has asks for the time."""
     return spec.moving or any(load(name).timed for name in spec.terms)
 
 
 def may_be_cut(state):
-    """Whether the method keeps count of parts into which it cuts a step (`newton_cg.py`)."""
+    """True if the method keeps count of parts into which it cuts a step (`newton_cg.py`)."""
     return hasattr(state, "halvings")
 
 

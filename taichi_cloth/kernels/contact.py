@@ -90,7 +90,7 @@ def compute_pair_bounces(spec: ti.template(), state: ti.template(), t):
 
 
 def has_impulses(spec):
-    """Whether walls or pairs act by impulses at a step's start."""
+    """True if walls or pairs act by impulses at a step's start."""
     return bool(spec.walls or (spec.collisions and not spec.resting))
 
 
@@ -131,7 +131,7 @@ def _outside_inner_box(state: ti.template(), x, axis: ti.template(), side: ti.te
 
 @ti.func
 def near_wall(spec: ti.template(), state: ti.template(), x):
-    """Whether any of a pack's positions x is outside of the inner box.
+    """True if any of a pack's positions x is outside of the inner box.
 
     Whoever is inside is past no wall, whatever its radius: most packs ask no more than this, and it
     is all that walls cost them.
@@ -230,7 +230,7 @@ def _note_held(spec: ti.template(), state: ti.template(), i, dx, dv):
 
 
 def _is_floor(spec, axis, side):
-    """Whether a wall is the floor of the original program, where y points down."""
+    """True if a wall is the floor of the original program, where y points down."""
     return spec.floor and (axis, side) == (1, 1)
 
 

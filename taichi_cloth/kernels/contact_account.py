@@ -43,7 +43,7 @@ PARTS = 3  # of the way along which forces are looked at: its ends and its middl
 
 
 def is_elastic(spec):
-    """Whether a specialization has springs or stencils."""
+    """True if a specialization has springs or stencils."""
     return bool(spec.springs or spec.kinds or spec.stencils or spec.line_kinds)
 
 

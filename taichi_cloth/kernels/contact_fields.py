@@ -15,7 +15,7 @@ FACE_CONTACTS = 4  # that a triangle may have at once
 
 
 def pairs_act_at_once():
-    """Whether a device has room for pairs of cloth that all act at once: where it is a GPU."""
+    """True if a device has room for pairs of cloth that all act at once: where it is a GPU."""
     return ti.cfg.arch != ti.cpu
 
 

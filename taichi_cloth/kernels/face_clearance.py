@@ -28,7 +28,7 @@ SHARE_OF_FAR = 0.24
 
 
 def kept(spec):
-    """Whether a specialization keeps clearances."""
+    """True if a specialization keeps clearances."""
     return not spec.moving
 
 
@@ -55,7 +55,7 @@ def _note_way(spec: ti.template(), state: ti.template(), p):
 
 @ti.func
 def is_clear(spec: ti.template(), state: ti.template(), m):
-    """Whether triangle m cannot have met anything; `note_ways` comes before."""
+    """True if triangle m cannot have met anything; `note_ways` comes before."""
     clear = False
     if ti.static(kept(spec)):
         left = 0.0 * state.dt[None]

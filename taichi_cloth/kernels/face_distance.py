@@ -154,7 +154,7 @@ def nearest(spec: ti.template(), state: ti.template(), o, p, q, r, radii, w, sid
 
 @ti.func
 def _is_convex(spec: ti.template(), state: ti.template(), o):
-    """Whether obstacle o is convex."""
+    """True if obstacle o is convex."""
     convex = False
     for s in ti.static(range(len(spec.obstacles))):
         if state.obstacle_shape[o] == s:

@@ -81,7 +81,7 @@ WHOLE = 0  # piece of a triangle that is all of it; 1 to 3 are its sides, in the
 
 
 def needed(spec):
-    """Whether a specialization has triangles or edges with sharp obstacles in their way."""
+    """True if a specialization has triangles or edges with sharp obstacles in their way."""
     return bool(spec.obstacles) and spec.faces
 
 
@@ -499,7 +499,7 @@ def _note_contact(spec: ti.template(), state: ti.template(), o, m, gap, meets, p
 
 @ti.func
 def _has(state: ti.template(), c):
-    """Whether row c of state.face has a contact."""
+    """True if row c of state.face has a contact."""
     return (state.face_hits[c // FACE_CONTACTS] >> (c % FACE_CONTACTS)) & 1 == 1
 
 

@@ -21,7 +21,7 @@ def width_of(field):
 
 
 def is_whole(field):
-    """Whether a field has whole numbers."""
+    """True if a field has whole numbers."""
     return field.dtype == ti.i32
 
 

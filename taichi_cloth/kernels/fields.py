@@ -55,7 +55,7 @@ class Capacity:
     patches: int = 0
 
     def holds(self, other: "Capacity") -> bool:
-        """Whether what needs the capacity `other` fits into this one."""
+        """True if what needs the capacity `other` fits into this one."""
         return all(a >= b for a, b in zip(astuple(self), astuple(other), strict=True))
 
 

@@ -46,7 +46,7 @@ def break_springs(spec: ti.template(), state: ti.template(), t):
 
 @ti.func
 def is_beyond(length2, shortest2, longest2):
-    """Whether a spring of this length is over its limit: squares of lengths, as in `State`."""
+    """True if a spring of this length is over its limit: squares of lengths, as in `State`."""
     return length2 > longest2 or length2 < shortest2
 
 
@@ -96,7 +96,7 @@ def _break_stencil(spec: ti.template(), state: ti.template(), m):
 
 @ti.func
 def _is_gone(spec: ti.template(), state: ti.template(), side):
-    """Whether a spring is gone: number `side` on the graph, or, if negative, link -1 - side."""
+    """True if a spring is gone: number `side` on the graph, or, if negative, link -1 - side."""
     status = ALIVE
     if side >= 0:
         status = state.status[side]

@@ -19,7 +19,7 @@ from taichi_cloth.kernels.packs import (
 
 @ti.func
 def pitch_of(spec: ti.template(), state: ti.template(), g):
-    """How many packs lie from the start of a row of grid g to the start of the next."""
+    """The number of packs from the start of a row of grid g to the start of the next."""
     return state.grid[g, 2] + 2 * spec.halo
 
 
@@ -38,7 +38,7 @@ def grid_at(spec: ti.template(), state: ti.template(), i):
 
 @ti.func
 def link_offset(state: ti.template(), s, pitch):
-    """How many packs lie from a pack to the later end of its links of kind s."""
+    """The number of packs from a pack to the later end of its links of kind s."""
     return state.link[s, 0] + state.link[s, 1] * pitch
 
 

@@ -22,7 +22,7 @@ from taichi_cloth.kernels.poses import (
 
 
 def needed(spec):
-    """Whether a specialization has obstacles that move and may hold particles."""
+    """True if a specialization has obstacles that move and may hold particles."""
     return spec.held
 
 

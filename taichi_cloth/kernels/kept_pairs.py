@@ -423,7 +423,7 @@ def _within(distance2, reach):
 
 @ti.func
 def _passed(before, now, reach):
-    """Whether a pair has passed through each other on the way from `before` to `now`, as 1 or 0.
+    """True if a pair has passed through each other on the way from `before` to `now`, as 1 or 0.
 
     So has one that is inside each other and more beside than before where it came from: of sheets
     that a step takes into each other it would push particles along the sheets, and not apart.
@@ -459,7 +459,7 @@ def other_of(code):
 
 @ti.func
 def has_passed(state: ti.template(), pair):
-    """Whether a pair, by its row of state.near, has passed through each other in this step."""
+    """True if a pair, by its row of state.near, has passed through each other in this step."""
     return (state.near[pair] & PASSED) != 0
 
 

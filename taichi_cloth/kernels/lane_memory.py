@@ -36,7 +36,7 @@ def see(memory):
 
 
 def sees(field):
-    """Whether the kernel that is being compiled sees a field through the memory of lanes."""
+    """True if the kernel that is being compiled sees a field through the memory of lanes."""
     kernel, memory = mending.notes().get("lane_memory", (None, None))
     if memory is None or kernel is not impl.get_runtime().compiling_callable:
         return False

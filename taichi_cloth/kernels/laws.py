@@ -17,7 +17,7 @@ HEAVY = 1e-6
 
 
 def branches_at_roots():
-    """Whether a square root has a branch, over which compilers move no load: in f32 on CUDA, where
+    """True if a square root has a branch, over which compilers move no load: in f32 on CUDA, where
     `root` can do without, as `fast_math` allows (not as exact for the smallest numbers).
     """
     return ti.cfg.arch == ti.cuda and ti.cfg.default_fp == ti.f32 and ti.cfg.fast_math

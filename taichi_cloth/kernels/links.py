@@ -204,7 +204,7 @@ def compute_links(
 
 
 def _moves(move):
-    """Whether `move` changes anything, which is known when a kernel is compiled."""
+    """True if `move` changes anything, which is known when a kernel is compiled."""
     return move is not leave
 
 

@@ -37,12 +37,12 @@ COUNTER, COUNTER_SIZE = 32, 64
 
 
 def is_short(rows):
-    """Whether a top-level loop of so many rows, that a field has room for, is one thread's."""
+    """True if a top-level loop of so many rows, that a field has room for, is one thread's."""
     return rows <= SHORT and ti.cfg.arch == ti.cpu
 
 
 def in_blocks(spec):
-    """Whether threads are those of a GPU's blocks; in tests a CPU's take turns as these do."""
+    """True if threads are those of a GPU's blocks; in tests a CPU's take turns as these do."""
     stay = spec.blocks > 0 and spec.threads > 1 and not spec.one_launch_per_step
     return stay and ti.cfg.arch != ti.cpu
 
@@ -297,12 +297,12 @@ def _joining_all_parts(ops):
 
 
 def in_three_levels():
-    """Whether packs are joined in three levels: on GPUs, whose threads are many and slow."""
+    """True if packs are joined in three levels: on GPUs, whose threads are many and slow."""
     return ti.cfg.arch != ti.cpu
 
 
 def levels_of(packs):
-    """How many pieces so many packs are joined in, and how many groups these, on GPUs.
+    """The number of pieces in which so many packs are joined, and of groups of these, on GPUs.
 
     The numbers that are joined at once, by one thread, are about as many at each of three levels.
     """

@@ -58,7 +58,7 @@ BALL_MARGIN, BALL_ROUNDINGS = 1e-3, 4.0
 
 
 def needed(spec):
-    """Whether a specialization has obstacles."""
+    """True if a specialization has obstacles."""
     return bool(spec.obstacles)
 
 
@@ -81,13 +81,13 @@ def _settle_pack(spec: ti.template(), state: ti.template(), i):
 
 
 def keeps_balls(spec):
-    """Whether particles keep balls that are free of obstacles."""
+    """True if particles keep balls that are free of obstacles."""
     return bool(spec.obstacles) and not spec.moving
 
 
 @ti.func
 def is_free(spec: ti.template(), state: ti.template(), slot, x):
-    """Whether x is in the ball in which the particle at a slot touches nothing."""
+    """True if x is in the ball in which the particle at a slot touches nothing."""
     free = False
     if ti.static(keeps_balls(spec)):
         d2 = ti.cast(0.0, state.real)
@@ -129,7 +129,7 @@ def slack_of(spec: ti.template(), state: ti.template(), o, x, radius):
 
 
 def _are_convex(shapes):
-    """Whether what was put onto the surface of any of these shapes is nowhere past it."""
+    """True if what was put onto the surface of any of these shapes is nowhere past it."""
     return all(load(shape).convex for shape in shapes)
 
 
@@ -222,7 +222,7 @@ def _of_slot(spec: ti.template(), value: ti.template(), slot):
 
 @ti.func
 def is_near(spec: ti.template(), state: ti.template(), o, slot, x, radius):
-    """Whether a particle may have touched obstacle o in this step: most have not."""
+    """True if a particle may have touched obstacle o in this step: most have not."""
     d, way = x - centre_of(spec, state, o, END), x - slot_value(spec, state.begun_x, slot)
     if ti.static(spec.moving):
         way += centre_of(spec, state, o, START) - centre_of(spec, state, o, END)

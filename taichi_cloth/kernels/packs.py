@@ -48,7 +48,7 @@ PACKS, SLOTS, VECTORS = 0x00FFFFFF, 0x07FFFFFF, 0x0FFFFFFF
 
 
 def in_lanes(a):
-    """Whether `a` are vectors in several lanes, and not one vector: known as kernels are read."""
+    """True if `a` are vectors in several lanes, and not one vector: known as kernels are read."""
     return isinstance(a, Vectors)
 
 
@@ -58,7 +58,7 @@ def rows_of(spec, field):
 
 
 def is_by_component(spec, field):
-    """Whether a field holds vectors, all first components before all second ones: packed rows."""
+    """True if a field holds vectors, all first components before all second ones: packed rows."""
     return spec.packed_rows and len(field.shape) == 1
 
 

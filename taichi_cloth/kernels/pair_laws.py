@@ -40,7 +40,7 @@ def clear_residual(spec: ti.template(), state: ti.template(), i):
 
 @ti.func
 def may_touch(spec: ti.template(), state: ti.template(), x, d, reach):
-    """Whether two particles of cloth, apart by d, are near enough to be asked whether they touch;
+    """True if two particles of cloth, apart by d, are near enough to be asked whether they touch;
     x: of one of them."""
     far = ti.static(1.0 + 2.0 * SLACK) * reach
     for axis in ti.static(range(spec.dim)):  # `abs` of vectors crashes in lanes

@@ -18,7 +18,7 @@ from taichi_cloth.front_end import mending
 
 
 def has_parts(spec):
-    """Whether a step of a specialization is compiled in parts.
+    """True if a step of a specialization is compiled in parts.
 
     Lanes would be slower so: those of implicit methods half as fast.
     """

@@ -156,7 +156,7 @@ def hits_in_block(state: ti.template(), a, first, x, reach):
 
 @ti.func
 def block_is_near_patch(state: ti.template(), a, first, b, drift, reach):
-    """Whether anchors in a block of a patch may be within reach of those of b, with their drift."""
+    """True if anchors in a block of a patch may be within reach of those of b, with their drift."""
     low, high = _block_box(state, a, first)
     patch_low = ti.Vector([state.patch_box[b, 6 * LISTED + axis] for axis in range(3)])
     patch_high = ti.Vector([state.patch_box[b, 6 * LISTED + 3 + axis] for axis in range(3)])
@@ -165,7 +165,7 @@ def block_is_near_patch(state: ti.template(), a, first, b, drift, reach):
 
 @ti.func
 def blocks_are_near(state: ti.template(), a, first, b, other_first, drift, reach):
-    """Whether anchors in two blocks, with the drift of their patches, may be within reach."""
+    """True if anchors in two blocks, with the drift of their patches, may be within reach."""
     low, high = _block_box(state, a, first)
     other_low, other_high = _block_box(state, b, other_first)
     return _shortest2(other_low - (high - drift), other_high - (low - drift)) <= reach * reach
@@ -239,7 +239,7 @@ def _block_box(state: ti.template(), a, first):
 
 @ti.func
 def are_near(state: ti.template(), a, b, reach):
-    """Whether anchors of two patches, with their drift, may be within `reach` of each other."""
+    """True if anchors of two patches, with their drift, may be within `reach` of each other."""
     low, high = _differences(state, a, b, ti.static(LISTED))
     drift = ti.Vector([state.drift[of_two(state, a, b), axis] for axis in range(3)])
     return not (_shortest2(low + drift, high + drift) >= reach * reach)

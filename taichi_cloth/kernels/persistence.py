@@ -81,7 +81,7 @@ class Kept:
 
 
 def is_kept(spec, state, method, name):
-    """Whether a field of a state is kept from step to step."""
+    """True if a field of a state is kept from step to step."""
     if name in WITHIN_STEP:
         return False
     loaded = LOADED - CHANGED_BY_FRACTURE if spec.fracture else LOADED

@@ -20,12 +20,12 @@ FEW_MARKS = 100_000
 
 
 def is_by_host(state, count):
-    """Whether the host reads so many particles: on a processor, where they are few."""
+    """True if the host reads so many particles: on a processor, where they are few."""
     return state.memory is not None and count <= FEW
 
 
 def are_marks_by_host(state, count):
-    """Whether the host reads the marks of so many springs on the graph."""
+    """True if the host reads the marks of so many springs on the graph."""
     return state.memory is not None and count <= FEW_MARKS
 
 
@@ -48,7 +48,7 @@ def fracture_in_memory(state, count):
 
 
 def broken_in_memory(state, count):
-    """How many of so many springs are breaking or gone, counted by the host."""
+    """The number of so many springs that are breaking or gone, counted by the host."""
     return int(np.count_nonzero(state.memory.of(state.status)[:count] != ALIVE))
 
 

@@ -62,7 +62,7 @@ def unsettled(spec):
 
 
 def needed(spec):
-    """Whether pairs rest on each other in a specialization."""
+    """True if pairs rest on each other in a specialization."""
     return spec.resting
 
 
@@ -213,7 +213,7 @@ def _count_touching(spec: ti.template(), state: ti.template(), at):
 
 @ti.func
 def _is_visited(spec: ti.template(), state: ti.template(), at):
-    """Whether a particle or one near it was changed in the last iteration: others stay."""
+    """True if a particle or one near it was changed in the last iteration: others stay."""
     if ti.static(spec.thick):
         return state.visited[at] >= state.pair_iteration[None]
     else:
@@ -253,7 +253,7 @@ def _list_touching(spec: ti.template(), state: ti.template(), at):
 
 @ti.func
 def _may_touch(spec: ti.template(), state: ti.template(), at, pair, x):
-    """Whether a pair of cloth is near enough to be asked whether it touches; x: of `at`."""
+    """True if a pair of cloth is near enough to be asked whether it touches; x: of `at`."""
     d = _value(spec, state, place_of(spec, state, pair), 0) - x
     reach = reach_of(spec, state, at, pair)
     return may_touch(spec, state, x, d, reach) | has_passed(state, pair)

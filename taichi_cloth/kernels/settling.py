@@ -40,12 +40,12 @@ PARTS = (
 
 
 def settles(spec):
-    """Whether a specialization has any contact that ends a step."""
+    """True if a specialization has any contact that ends a step."""
     return any(needed(spec) for needed, _ in PARTS) or resting_pairs.needed(spec)
 
 
 def ends_step(spec):
-    """Whether anything is done here: a contact ends the step, or an account of them is kept."""
+    """True if anything is done here: a contact ends the step, or an account of them is kept."""
     return settles(spec) or spec.accounts_contacts
 
 
@@ -71,13 +71,13 @@ def acts_of(spec, state):
 
 
 def has_rounds(spec):
-    """Whether what ends a step goes on in rounds."""
+    """True if what ends a step goes on in rounds."""
     return resting_pairs.needed(spec) and swept_pairs.is_swept(spec)
 
 
 @ti.func
 def goes_on(state: ti.template()):
-    """Whether a round of what ends a step is to come, as 1 or 0."""
+    """True if a round of what ends a step is to come, as 1 or 0."""
     return ti.cast(state.pair_round[None] > 0, ti.i32)
 
 
@@ -99,12 +99,12 @@ def _acts_before_pairs(spec):
 
 
 def repeats(spec):
-    """Whether any of it goes on until it has settled."""
+    """True if any of it goes on until it has settled."""
     return faces.needed(spec) or resting_pairs.needed(spec)
 
 
 def in_launches(spec):
-    """Whether what ends a step takes several launches: what comes before pairs, these, their end.
+    """True if what ends a step takes several launches: what comes before pairs, these, their end.
 
     A launch cannot repeat loops that Taichi makes parallel.
     """

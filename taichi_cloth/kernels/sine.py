@@ -8,7 +8,7 @@ TERMS = 11  # to double precision up to a quarter turn
 
 
 def has_sine():
-    """Whether the backend has a sine in every precision."""
+    """True if the backend has a sine in every precision."""
     return ti.cfg.arch in (ti.cpu, ti.cuda)
 
 

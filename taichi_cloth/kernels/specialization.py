@@ -67,7 +67,7 @@ class Specialization:
     one_launch_per_step: bool = False
 
     def can_run(self, other: "Specialization") -> bool:
-        """Whether kernels of this specialization can run what needs the specialization `other`.
+        """True if kernels of this specialization can run what needs the specialization `other`.
 
         They can if they lack nothing, and if what they have besides has no effect.
         """
@@ -89,23 +89,23 @@ class Specialization:
 
     @property
     def passes_over_rows(self) -> bool:
-        """Whether packs are strips of grids, whose links are computed row by row (`links.py`)."""
+        """True if packs are strips of grids, whose links are computed row by row (`links.py`)."""
         return self.lanes > 1 and not self.packed_rows
 
     @property
     def only_links(self) -> bool:
-        """Whether all that acts between particles that follow each other are links of strips."""
+        """True if all that acts between particles that follow each other are links of strips."""
         others = self.springs or self.stencils or self.lines
         return self.passes_over_rows and bool(self.links) and not others
 
     @property
     def keeps_begun(self) -> bool:
-        """Whether contacts that end a step look at where it began (`settling.py`)."""
+        """True if contacts that end a step look at where it began (`settling.py`)."""
         return bool(self.obstacles or self.thick)
 
     @property
     def has_bodies(self) -> bool:
-        """Whether particles have a radius and a restitution."""
+        """True if particles have a radius and a restitution."""
         return bool(self.walls or self.collisions or self.obstacles)
 
     @property

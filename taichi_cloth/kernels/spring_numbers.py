@@ -42,11 +42,11 @@ class SpringNumber:
         return self.per_link or self.changes(spec.terms)
 
     def changes(self, terms):
-        """Whether one of these terms changes it while a scene runs."""
+        """True if one of these terms changes it while a scene runs."""
         return bool(self.changed_by) and self.changed_by in terms
 
     def stored(self, spec):
-        """Whether the kernels of a specialization have this number."""
+        """True if the kernels of a specialization have this number."""
         return not self.needs or self.needs in spec.terms
 
 
@@ -91,7 +91,7 @@ def shared_columns(spec, state):
 
 
 def is_stored(field):
-    """Whether a field of `fields_of` is there."""
+    """True if a field of `fields_of` is there."""
     return field is not None
 
 
@@ -111,5 +111,5 @@ class OfStiffness:
 
 
 def takes_stiffness(between):
-    """Whether a contribution takes what is kept of each spring, in place of its numbers."""
+    """True if a contribution takes what is kept of each spring, in place of its numbers."""
     return isinstance(between, OfStiffness)

@@ -37,7 +37,7 @@ def _tensions(spec):
 
 
 def reads_velocity(spec):
-    """Whether springs have damping: a particle's force then depends on neighbours' velocities."""
+    """True if springs have damping: a particle's force then depends on neighbours' velocities."""
     return any(has(term.damping) for term in _tensions(spec))
 
 

@@ -36,7 +36,7 @@ STIFF_ON_GRAPH = 500.0  # (tau*omega)^2, as `two_levels.STIFF`, from which block
 
 
 def block_packs(spec):
-    """How many packs of blocks there are at most."""
+    """The number of packs of blocks that there are at most."""
     return max(MOST_BLOCKS // spec.lanes, 1)
 
 

@@ -53,7 +53,7 @@ def stiffness_by(spec: ti.template(), k):
 
 @ti.func
 def line_step(state: ti.template(), h, pitch):
-    """How many packs lie from one particle of a line of kind h to the next."""
+    """The number of packs from one particle of a line of kind h to the next."""
     return state.line[h, 0] + state.line[h, 1] * pitch
 
 

@@ -50,7 +50,7 @@ def after_steps(spec):
 
 
 def has_end(spec):
-    """Whether anything comes at the end of a step, so that `end_step` is not empty."""
+    """True if anything comes at the end of a step, so that `end_step` is not empty."""
     return bool(spec.fracture or after_steps(spec) or ends_step(spec))
 
 

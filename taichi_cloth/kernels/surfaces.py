@@ -43,7 +43,7 @@ def _parts(spec, part):
 
 @ti.func
 def is_whole(spec: ti.template(), state: ti.template(), surface: ti.template(), m):
-    """Whether none of the springs along the sides of triangle m is gone."""
+    """True if none of the springs along the sides of triangle m is gone."""
     gone = 0
     if ti.static(spec.fracture):
         for k in ti.static(range(3)):
@@ -54,14 +54,14 @@ def is_whole(spec: ti.template(), state: ti.template(), surface: ti.template(), 
 
 @ti.func
 def holds(spec: ti.template(), state: ti.template(), surface: ti.template(), m, k):
-    """Whether there is a spring along side k of triangle m that is not gone."""
+    """True if there is a spring along side k of triangle m that is not gone."""
     s = surface.side[m, k]
     return s != -1 and not _is_gone(spec, state, s)
 
 
 @ti.func
 def _is_gone(spec: ti.template(), state: ti.template(), s):
-    """Whether the spring of a side is gone; s: as `surface.side` has it, -1 where there is none."""
+    """True if the spring of a side is gone; s: as `surface.side` has it, -1 where there is none."""
     gone = False
     if ti.static(spec.springs):
         if s >= 0 and state.status[s] == GONE:

@@ -44,7 +44,7 @@ FEW = 32  # pairs of a colour, that one thread does
 
 
 def is_swept(spec):
-    """Whether the pairs of a specialization act one after the other."""
+    """True if the pairs of a specialization act one after the other."""
     return spec.thick and not spec.one_launch_per_step
 
 

@@ -25,7 +25,7 @@ EXPONENT_F32 = 0x7F800000  # all ones: infinity or NaN
 
 @ti.func
 def is_finite(a):
-    """Whether the number a is finite, by its bits: compilers may assume that none is a NaN.
+    """True if the number a is finite, by its bits: compilers may assume that none is a NaN.
 
     The bits are those of its f32 value, because OpenGL cannot take f64 apart; what overflows f32
     counts as infinite.
@@ -63,7 +63,7 @@ def begin_step(state: ti.template(), step):
 
 @ti.func
 def all_well(state: ti.template()):
-    """Whether no particle is at fault so far; an atomic read, which no compiler can leave out."""
+    """True if no particle is at fault so far; an atomic read, which no compiler can leave out."""
     return ti.atomic_max(state.fault[None], -1) == NO_FAULT
 
 

@@ -181,7 +181,7 @@ def above_limit_in_air(method: str, scene: Scene, dt: float, substeps: int) -> s
 
 
 def _only_by_air(step: float, method: Method, scene: Scene) -> bool:
-    """Whether a scene has forces on triangles, and a step is stable without them."""
+    """True if a scene has forces on triangles, and a step is stable without them."""
     if len(scene.triangles) == 0 or not tractions.present(scene.world):
         return False
     calm = replace(scene, world=tractions.without(scene.world))

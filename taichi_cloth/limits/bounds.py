@@ -52,7 +52,7 @@ def step_within(method: Method, bounds: Bounds) -> float:
 
 
 def grows_within(method: Method, bounds: Bounds, h: float) -> bool:
-    """Whether a mode inside `bounds` grows at the step h; fifty times as fast as `step_within`."""
+    """True if a mode inside `bounds` grows at the step h; fifty times as fast as `step_within`."""
     if math.isinf(method.claims.stability_limit):
         return False
     return any(growth(method, h, *pair) > 1 + ROUND_OFF for pair in _pairs(bounds) if any(pair))

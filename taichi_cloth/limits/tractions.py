@@ -22,7 +22,7 @@ def _terms() -> Iterator[Any]:
 
 
 def present(world: World) -> bool:
-    """Whether a scene in this world could have forces on triangles: one in space that asks."""
+    """True if a scene in this world could have forces on triangles: one in space that asks."""
     return world.dim == 3 and any(
         key.name in world.more for term in _terms() if has(term.keys) for key in term.keys
     )

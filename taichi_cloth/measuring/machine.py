@@ -73,7 +73,7 @@ def _version(package: str) -> str | None:
 
 
 def installed(package: str) -> bool:
-    """Whether a package (by the name pip knows) or g++ is there."""
+    """True if a package (by the name pip knows) or g++ is there."""
     return _version(package) is not None
 
 

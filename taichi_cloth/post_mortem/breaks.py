@@ -130,7 +130,7 @@ class _Again:
 
 
 def _too_long(sample: Sample, steps: int) -> bool:
-    """Whether a step is beyond its limit; of a method that makes every vibration grow, whether in
+    """True if a step is beyond its limit; of a method that makes every vibration grow, whether in
     so many steps that has become much.
     """
     limit, method = sample.limit, methods.load(sample.method)

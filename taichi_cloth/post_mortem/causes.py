@@ -74,7 +74,7 @@ class Cause:
 
     @property
     def numerical(self) -> bool:
-        """Whether it is the numerics' doing, and another setting would not have it."""
+        """True if it is the numerics' doing, and another setting would not have it."""
         return self.kind not in PHYSICS and self.kind != UNKNOWN
 
 

@@ -40,7 +40,7 @@ def beyond(trace: Trace) -> int:
 
 
 def too_long(sample: Sample) -> bool:
-    """Whether a sample's step is longer than the stable one."""
+    """True if a sample's step is longer than the stable one."""
     return sample.limit.dt < math.inf and not sample.used <= 1 + 1e-9
 
 
@@ -65,7 +65,7 @@ def from_nothing(trace: Trace, sample: Sample) -> float:
 
 
 def has_grown(trace: Trace) -> bool:
-    """Whether steps were too long for so long that the least error of rounding has become large.
+    """True if steps were too long for so long that the least error of rounding has become large.
 
     What bounds it then is that springs turn, or walls: energy need not come from nothing any more.
     """
@@ -88,6 +88,6 @@ def growth_of(sample: Sample) -> float:
 
 
 def any_geometry_holds(trace: Trace) -> bool:
-    """Whether the step is stable however the springs turn, by where the trace begins."""
+    """True if the step is stable however the springs turn, by where the trace begins."""
     method = methods.load(trace.settings.method)
     return trace.h <= step_within(method, any_geometry(trace.before))

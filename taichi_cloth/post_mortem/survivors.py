@@ -112,7 +112,7 @@ def search(
 
 
 def _same(one: Settings, other: Settings) -> bool:
-    """Whether runs that choose their steps themselves are the same with either."""
+    """True if runs that choose their steps themselves are the same with either."""
     return (one.method, dict(one.solver)) == (other.method, dict(other.solver))
 
 
@@ -171,7 +171,7 @@ class _Tries:
         return Trial(settings, not says, done, wanted, spent / max(done - 1, 1), says)
 
     def fits(self, seconds: float) -> bool:
-        """Whether there is time for a trial of as many frames, each of which takes so long."""
+        """True if there is time for a trial of as many frames, each of which takes so long."""
         frames = self._failed - self._first + AFTER
         return time.perf_counter() + seconds * frames < self.until
 

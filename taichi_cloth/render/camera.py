@@ -109,7 +109,7 @@ class Camera:
         return place
 
     def is_above(self, height: float) -> bool:
-        """Whether it is above a floor at this height. From below none is drawn: it would hide all
+        """True if it is above a floor at this height. From below none is drawn: it would hide all
         that stands on it, and be one plane with the undersides of that.
         """
         above = float(self.eye[1]) - height
@@ -117,7 +117,7 @@ class Camera:
 
     @property
     def upright(self) -> bool:
-        """Whether what it sees does not stand on its head, as it does beyond a pole."""
+        """True if what it sees does not stand on its head, as it does beyond a pole."""
         return math.cos(math.radians(self.rot_x)) >= 0
 
     @property

@@ -23,7 +23,7 @@ class Rect:
     height: int
 
     def holds(self, pixel: tuple[float, float]) -> bool:
-        """Whether a window pixel (x, y) lies in it."""
+        """True if a window pixel (x, y) lies in it."""
         x, y = pixel[0] - self.x, pixel[1] - self.y
         return 0 <= x < self.width and 0 <= y < self.height
 
@@ -128,7 +128,7 @@ class Picture:
 
     @property
     def has_surfaces(self) -> bool:
-        """Whether there is anything besides springs and particles."""
+        """True if there is anything besides springs and particles."""
         return len(self.triangles) > 0 or self.solids is not None or self.ground is not None
 
 

@@ -161,7 +161,7 @@ def _bounds(room: Rect) -> tuple[int, ...]:
 
 
 def _meet(one: tuple[int, ...], other: tuple[int, ...]) -> bool:
-    """Whether two such rectangles have a pixel in common."""
+    """True if two such rectangles have a pixel in common."""
     across = one[0] < other[1] and other[0] < one[1]
     return across and one[2] < other[3] and other[2] < one[3]
 

@@ -119,6 +119,6 @@ def note_of_size(x: np.ndarray, scale: float) -> str | None:
 
 
 def keeps_off_itself(x: np.ndarray, triangles: np.ndarray) -> bool:
-    """Whether a mesh has a thickness unasked: it is not so large, or uneven, that this would cost
+    """True if a mesh has a thickness unasked: it is not so large, or uneven, that this would cost
     more than all the rest. x: its vertices, (n, 3)."""
     return len(x) <= MOST_THICK and most_near(x, triangles) <= MOST_NEAR

@@ -107,7 +107,7 @@ class World:
 
     @property
     def takes_clicks(self) -> bool:
-        """Whether clicks may add particles and springs."""
+        """True if clicks may add particles and springs."""
         return self.tools or self.mouse == "spawn"
 
     @property
@@ -441,12 +441,12 @@ class Scene(ByValue):
 
     @property
     def thick(self) -> bool:
-        """Whether a cloth has a thickness, so that it does not pass through itself."""
+        """True if a cloth has a thickness, so that it does not pass through itself."""
         return self.world.dim == 3 and bool((self.particles.thickness > 0).any())
 
     @property
     def collides(self) -> bool:
-        """Whether particles collide with each other."""
+        """True if particles collide with each other."""
         return self.world.collisions or self.thick
 
     def features(self) -> Features:
@@ -538,11 +538,11 @@ class Scene(ByValue):
         return self
 
     def _uniform_springs(self) -> bool:
-        """Whether all springs, also those that clicks add, have the same numbers."""
+        """True if all springs, also those that clicks add, have the same numbers."""
         return self._uniform(self.springs, self.spring_defaults, SPRING_PROPERTIES)
 
     def _uniform_particles(self) -> bool:
-        """Whether all particles, also those that clicks add, have the same numbers but mass."""
+        """True if all particles, also those that clicks add, have the same numbers but mass."""
         alike = self._uniform(self.particles, self.particle_defaults, PARTICLE_PROPERTIES)
         return alike and not self.world.tools
 
@@ -552,7 +552,7 @@ class Scene(ByValue):
         defaults: ParticleDefaults | SpringDefaults,
         properties: Mapping[str, Property],
     ) -> bool:
-        """Whether all rows, also those that clicks add, have the same shared numbers."""
+        """True if all rows, also those that clicks add, have the same shared numbers."""
         for name, about in properties.items():
             if not about.shared:
                 continue

@@ -172,7 +172,7 @@ def _fault_of_value(key: Key, value: Any, dim: int) -> str | None:
 
 
 def _has_truth(value: Any) -> bool:
-    """Whether a value, or one of those in a list or a list of lists, is True or False."""
+    """True if a value, or one of those in a list or a list of lists, is True or False."""
     if isinstance(value, tuple):
         return any(_has_truth(inner) for inner in value)
     return isinstance(value, (bool, np.bool_))

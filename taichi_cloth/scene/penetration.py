@@ -16,7 +16,7 @@ TURN = 1.5  # frames: how long what bounces takes to come and go; forces make it
 
 
 def touches(scene: Scene, solids: Sequence[Solid]) -> bool:
-    """Whether particles of a scene can touch anything; solids: what is in its way."""
+    """True if particles of a scene can touch anything; solids: what is in its way."""
     return bool(scene.world.walls or scene.collides or solids)
 
 

@@ -43,7 +43,7 @@ def _assumes(*keys: str) -> Callable[[Scene], bool]:
 
 
 def _weighed_by_angles(scene: Scene) -> bool:
-    """Whether a mesh of the scene has its mass by a density: its triangles' shares, by angles.
+    """True if a mesh of the scene has its mass by a density: its triangles' shares, by angles.
 
     Triangles of grids, half a square each, were always shared so.
     """
@@ -62,12 +62,12 @@ def _weighed_by_angles(scene: Scene) -> bool:
 
 
 def _meets_faces(scene: Scene) -> bool:
-    """Whether a scene has what is sharp enough to pass between particles of its cloths."""
+    """True if a scene has what is sharp enough to pass between particles of its cloths."""
     return bool(met_by_faces(scene, solids(scene)))
 
 
 def _has_finer_bodies(scene: Scene) -> bool:
-    """Whether a mesh is an obstacle that gives no `cell`, and its cells are not a 32nd of it."""
+    """True if a mesh is an obstacle that gives no `cell`, and its cells are not a 32nd of it."""
     for obstacle, solid in zip(scene.obstacles, solids(scene), strict=False):
         x, faces = solid.placed.vertices, solid.placed.faces
         if x is None or faces is None or obstacle.value("cell") is not None:

@@ -51,7 +51,7 @@ class Solid:
 
     @property
     def moving(self) -> bool:
-        """Whether it moves."""
+        """True if it moves."""
         return bool(self.velocity.any() or self.spin.any())
 
     @property
@@ -308,7 +308,7 @@ def goes_through(
 
 
 def _is_split(solid: Solid, a: np.ndarray, b: np.ndarray, time: float) -> np.ndarray:
-    """Whether edges from a to b, (m, dim) each, go through the middle of a solid, (m,) bool: what
+    """True if edges from a to b, (m, dim) each, go through the middle of a solid, (m,) bool: what
     pushes their one part out of it would push the other the opposite way, as in a plate thinner
     than they are long.
     """

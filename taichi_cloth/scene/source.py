@@ -135,7 +135,7 @@ class SceneSource:
 
 
 def names_file(word: str) -> bool:
-    """Whether a word names a scene file or a mesh file rather than a built-in scene."""
+    """True if a word names a scene file or a mesh file rather than a built-in scene."""
     from taichi_cloth.scene import library
 
     if word in library.names() or not word:

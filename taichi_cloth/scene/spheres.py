@@ -92,7 +92,7 @@ def needed_diameters(
 
 
 def most_near(position: np.ndarray, triangles: np.ndarray) -> int:
-    """How many others are at the start within the reach of one corner, at most.
+    """The most others that are at the start within the reach of one corner.
 
     position: (n, 3); triangles: (m, 3). Their spheres are as wide as the triangles ask for.
     """

@@ -98,7 +98,7 @@ WITHIN = "1%"  # how far apart two runs may be that are still together: most eye
 
 
 def default_fast_math(precision: str) -> bool:
-    """Whether fast_math is on by itself in a precision, out of `PRECISIONS`."""
+    """True if fast_math is on by itself in a precision, out of `PRECISIONS`."""
     return precision == "f32"
 
 

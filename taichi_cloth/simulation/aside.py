@@ -50,7 +50,7 @@ def note(what: str, why: str = "") -> None:
 
 
 def _is_entry(entry: object) -> bool:
-    """Whether this is what `note` writes."""
+    """True if this is what `note` writes."""
     return (
         isinstance(entry, list)
         and len(entry) == 3

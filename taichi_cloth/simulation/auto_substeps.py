@@ -67,7 +67,7 @@ class AutoSubsteps:
         self._controller.recall(memory)
 
     def follows(self, storage: Storage) -> bool:
-        """Whether a frame can change how many substeps the next one needs.
+        """True if a frame can change how many substeps the next one needs.
 
         It can where springs break, and where the damping of forces on triangles grows with speed.
         """

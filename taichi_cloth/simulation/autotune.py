@@ -278,7 +278,7 @@ def _entry(table: dict[str, Any], key: str) -> Costs:
 
 
 def _is_cost(pair: object) -> bool:
-    """Whether this is what `remember` writes: two numbers of seconds."""
+    """True if this is what `remember` writes: two numbers of seconds."""
     return (
         isinstance(pair, list)
         and len(pair) == 2

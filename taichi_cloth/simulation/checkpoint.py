@@ -84,7 +84,7 @@ class Checkpoint:
         return cls(**saved.read(accepted.path("Checkpoint.load: path", path)).parts)
 
     def is_of(self, sim: object) -> bool:
-        """Whether this very simulation made it, which may have another method since."""
+        """True if this very simulation made it, which may have another method since."""
         return self.engine is not None and self.engine["_owner"] is sim
 
     def arrays(self) -> list[np.ndarray]:

@@ -31,7 +31,7 @@ def soon(kind: str) -> str:
 
 
 def was_before(kind: str) -> bool:
-    """Whether a run of this kind has compiled its kernels, as far as known."""
+    """True if a run of this kind has compiled its kernels, as far as known."""
     return kernel_cache().exists() and kind in _kinds()
 
 

@@ -31,7 +31,7 @@ class Work:
 
     @property
     def mostly_unconverged(self) -> bool:
-        """Whether most steps' solutions did not converge: what they show is not the scene."""
+        """True if most steps' solutions did not converge: what they show is not the scene."""
         return 2 * self.unconverged > self.steps
 
 

@@ -165,7 +165,7 @@ def without(now: Snapshot, particles: np.ndarray) -> tuple[Snapshot, np.ndarray]
 
 
 def same(a: Snapshot, b: Snapshot) -> bool:
-    """Whether two states are equal, number by number."""
+    """True if two states are equal, number by number."""
 
     def equal(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
         alike = (one[k] is other[k] or np.array_equal(one[k], other[k]) for k in one)

@@ -143,7 +143,7 @@ class Gauges:
 
     @property
     def knows_contacts(self) -> bool:
-        """Whether what contacts gave and took is counted as work, or there surely were none."""
+        """True if what contacts gave and took is counted as work, or there surely were none."""
         sim = self._sim
         if not sim.can_touch() or sim.contact_account() is not None:
             return True

@@ -86,7 +86,7 @@ class Launcher:
         return self._staying(spec, packs) if self._frames_stay(spec, packs) else _by_steps(spec)
 
     def _frames_stay(self, spec: Specialization, packs: int) -> bool:
-        """Whether the blocks that run so many packs on a GPU may stay for whole frames.
+        """True if the blocks that run so many packs on a GPU may stay for whole frames.
 
         Not where cloths rest on each other: by colours, of which each would be a few pairs for all
         threads, that takes a GPU too long.
@@ -124,7 +124,7 @@ class Launcher:
         self._kind = kind
 
     def _hurries(self, spec: Specialization, capacity: Capacity) -> bool:
-        """Whether frames of this are compiled soon: on CPUs those on the graph, whose steps take
+        """True if frames of this are compiled soon: on CPUs those on the graph, whose steps take
         little longer then, where no earlier run has left faster ones.
 
         What is chosen in a process stays, though others may have compiled some meanwhile.
@@ -216,7 +216,7 @@ class Launcher:
         return STAYING_STEPS[bool(self._method.phases)]
 
     def _is_long(self, state: Any, substeps: int) -> bool:
-        """Whether a frame is more than one launch of blocks that stay should hold."""
+        """True if a frame is more than one launch of blocks that stay should hold."""
         return substeps > self._staying_steps() or substeps * state.packs > LAUNCH_WORK
 
     def _advance(
@@ -369,5 +369,5 @@ def kernels_of(state: Any) -> stepping.Kernels:
 
 
 def _has_long_sums(spec: Specialization) -> bool:
-    """Whether particles get so many terms that compilers add them in an order of their own."""
+    """True if particles get so many terms that compilers add them in an order of their own."""
     return bool(settling.ends_step(spec) or has_tractions(spec))

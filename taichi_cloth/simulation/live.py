@@ -97,7 +97,7 @@ class Setting:
             self.write(sim, value)
 
     def compiles(self, sim: Simulation, value: Any) -> bool:
-        """Whether setting it to a value compiles kernels, and the window waits meanwhile."""
+        """True if setting it to a value compiles kernels, and the window waits meanwhile."""
         if self.name == "method":
             return bool(value != sim.method)
         if self.changes is None or value == self.read(sim):
@@ -204,7 +204,7 @@ class _Column:
 
     @property
     def alike(self) -> bool:
-        """Whether all are the same, now and in the scene: else a factor is what is set."""
+        """True if all are the same, now and in the scene: else a factor is what is set."""
         return bool((self.now == self.now[0]).all() and (self.own == self.own[0]).all())
 
     def value(self) -> Value:
@@ -471,7 +471,7 @@ def _feature(
 
 
 def _breaks(scene: Scene) -> bool:
-    """Whether any of a scene's springs breaks; where it has none, any that is added."""
+    """True if any of a scene's springs breaks; where it has none, any that is added."""
     springs = scene.springs
     limits = springs.break_force if len(springs) else _clicked(scene, "springs", "break_force", 1)
     return bool(np.isfinite(limits).any())

@@ -36,7 +36,7 @@ class Numbers:
 def asked_step(
     world: World, dt: float | str | None, substeps: int | None
 ) -> tuple[bool, tuple[float | str, int]]:
-    """Whether a run chooses its substeps, and its dt and substeps: what it was asked for, else what
+    """True if a run chooses its substeps, and its dt and substeps: what it was asked for, else what
     its scene says.
 
     InputError where substeps are given that are to be chosen.

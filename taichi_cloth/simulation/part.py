@@ -116,7 +116,7 @@ class Part(ABC):
 
     @abstractmethod
     def _lanes_for(self, module: Method) -> int:
-        """How many particles a pack has under a method."""
+        """The number of particles that a pack has under a method."""
 
     @abstractmethod
     def _store(self, snapshot: Snapshot) -> None:

@@ -82,7 +82,7 @@ class Past:
 
     @property
     def whole(self) -> bool:
-        """Whether the run can be made again from its origin."""
+        """True if the run can be made again from its origin."""
         return self.origin is not None
 
     # --- as the run goes on ----------------------------------------------------------------

@@ -81,7 +81,7 @@ class PreparedLaunches:
 
 
 def was_launched(kernel: Callable[..., Any], arguments: tuple[Any, ...]) -> bool:
-    """Whether a kernel is compiled for such arguments already, also one that is not prepared."""
+    """True if a kernel is compiled for such arguments already, also one that is not prepared."""
     primal = _primal(kernel)
     instance, _ = primal.mapper.lookup(arguments)
     return (primal.func, instance, primal.autodiff_mode) in primal.compiled_kernels
@@ -115,11 +115,11 @@ class PreparedLaunch:
         self._result = _RESULTS[kinds[0]] if kinds else ""
 
     def is_of(self, runtime: Any) -> bool:
-        """Whether it is of this start of Taichi; what is of another one is no longer there."""
+        """True if it is of this start of Taichi; what is of another one is no longer there."""
         return self._start() is runtime
 
     def repeats(self, arguments: tuple[Any, ...]) -> bool:
-        """Whether a launch differs from the last one of this in its numbers alone."""
+        """True if a launch differs from the last one of this in its numbers alone."""
         return (
             self._context is not None
             and arguments[self._state_at] is self._state()
@@ -129,7 +129,7 @@ class PreparedLaunch:
         )
 
     def repeats_with(self, state: Any, *templates: Any) -> bool:
-        """Whether its last launch was of a state and these templates, the first ones that it has.
+        """True if its last launch was of a state and these templates, the first ones that it has.
 
         Arrays, which must be the state's own, are not looked at: that takes as long as all else.
         """
@@ -178,7 +178,7 @@ class PreparedLaunch:
         return getattr(context, self._result)((0,))
 
     def _has_arrays(self, arguments: tuple[Any, ...]) -> bool:
-        """Whether the context that is kept has these arrays."""
+        """True if the context that is kept has these arrays."""
         return all(arguments[at] is of() for at, of in self._has)
 
     def _with_arrays(self, arguments: tuple[Any, ...]) -> Any:
@@ -210,7 +210,7 @@ def _kind_of(annotation: Any) -> type | None:
 
 
 def _shares_memory(program: Any) -> bool:
-    """Whether the device is a CPU, whose memory is the host's."""
+    """True if the device is a CPU, whose memory is the host's."""
     import taichi as ti
 
     return program.config().arch in (ti.x64, ti.arm64)
@@ -275,7 +275,7 @@ def _key(kernel: Callable[..., Any], signature: _Signature, arguments: tuple[Any
 
 
 def _are_whole(signature: _Signature, arguments: tuple[Any, ...]) -> bool:
-    """Whether all arrays are NumPy's, and lie in memory as they are indexed."""
+    """True if all arrays are NumPy's, and lie in memory as they are indexed."""
     return all(
         isinstance(arguments[at], np.ndarray) and arguments[at].flags.c_contiguous
         for at, _ in signature.arrays

@@ -36,12 +36,12 @@ class Readings(Part):
 
     @property
     def wide(self) -> bool:
-        """Whether it has sixteen lanes, whose bits may differ from those of eight."""
+        """True if it has sixteen lanes, whose bits may differ from those of eight."""
         return self.lanes == sixteen.LANES
 
     @property
     def hurries(self) -> bool:
-        """Whether its kernels are those that compile soon, for want of faster ones."""
+        """True if its kernels are those that compile soon, for want of faster ones."""
         return self._launcher.hurries
 
     @property
@@ -159,7 +159,7 @@ class Readings(Part):
         return depths(self.storage.solids, self.positions(), self.radii(), self.time)
 
     def can_touch(self) -> bool:
-        """Whether there is anything that particles can touch."""
+        """True if there is anything that particles can touch."""
         return touches(self.storage.scene, self.storage.solids)
 
     def penetration(self) -> float:

@@ -169,7 +169,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         )
 
     def _lanes_for(self, module: Method) -> int:
-        """How many particles a pack has under a method."""
+        """The number of particles that a pack has under a method."""
         if self._launcher.device.arch != "cpu":
             return self._lanes or 1
         most = module.most_lanes(self.scene.world.dim)
@@ -362,7 +362,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
 
     @property
     def follows(self) -> bool:
-        """Whether it chooses its substeps by itself (dt "auto")."""
+        """True if it chooses its substeps by itself (dt "auto")."""
         return self._auto is not None
 
     @act

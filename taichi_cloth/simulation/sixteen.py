@@ -28,7 +28,7 @@ METHODS = "symplectic_euler", "verlet", "rk4", "xpbd", "vbd"
 
 
 def pays(storage: Storage, method: str) -> bool:
-    """Whether sixteen lanes are faster than eight for what a storage has taken, under a method.
+    """True if sixteen lanes are faster than eight for what a storage has taken, under a method.
 
     Measured on a processor with vectors of 64 bytes; whoever asks knows that this one has them.
     """
@@ -42,7 +42,7 @@ def pays(storage: Storage, method: str) -> bool:
 
 
 def are_compiled(storage: Storage, what: str, path: str) -> bool:
-    """Whether an earlier run has left the kernels of a storage in lanes, to be run on a path.
+    """True if an earlier run has left the kernels of a storage in lanes, to be run on a path.
 
     what: of which kind of run (`compiled_as`).
     """

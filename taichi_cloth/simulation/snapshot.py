@@ -153,7 +153,7 @@ class Snapshot:
 
 
 def same_but_own(one: Snapshot, other: Snapshot) -> bool:
-    """Whether two states have all the same arrays, but for the motion of particles and their `OWN`
+    """True if two states have all the same arrays, but for the motion of particles and their `OWN`
     numbers.
     """
     mine, theirs = vars(one.scene.particles), vars(other.scene.particles)

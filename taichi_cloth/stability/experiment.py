@@ -232,7 +232,7 @@ class Runs:
         return (time.perf_counter() - begin) / 100
 
     def is_unstable(self, h: float, limit: Limit, look: Look) -> bool:
-        """Whether a disturbance grows at steps of h; limit: says along which mode it starts."""
+        """True if a disturbance grows at steps of h; limit: says along which mode it starts."""
         sim, rng = self._sim, np.random.default_rng(0)
         sim.load_as(sim.topology, sim.execution, *self._disturbed(limit, rng))
         sim.hold(self._force)

@@ -232,7 +232,7 @@ class Journal:
 
 
 def _is_entry(line: Mapping[str, Any]) -> bool:
-    """Whether a line has a result with its key, and of a file its name and size."""
+    """True if a line has a result with its key, and of a file its name and size."""
     named = isinstance(line.get("file"), str) and isinstance(line.get("bytes"), int)
     without = not {"file", "bytes"} & line.keys()
     return "result" in line and isinstance(line.get("key"), str) and (named or without)
@@ -252,7 +252,7 @@ def _crc_of(file: Path) -> int:
 
 
 def _is_whole(file: Path, line: Mapping[str, Any]) -> bool:
-    """Whether a line's file is there, and as it was when the line was written."""
+    """True if a line's file is there, and as it was when the line was written."""
     there = file.is_file() and file.stat().st_size == line["bytes"]
     return there and _crc_of(file) == line.get("file's crc")
 

@@ -39,12 +39,12 @@ class Clock:
 
     @property
     def limited(self) -> bool:
-        """Whether it ends."""
+        """True if it ends."""
         return math.isfinite(self.seconds)
 
     @property
     def short(self) -> bool:
-        """Whether less is to be asked for from the start."""
+        """True if less is to be asked for from the start."""
         return self.seconds < SHORT
 
     def left(self) -> float:

@@ -245,7 +245,7 @@ class Contacts:
 
 
 def touches_anything(samples: Samples) -> bool:
-    """Whether particles touched something in a run, as far as anybody looked."""
+    """True if particles touched something in a run, as far as anybody looked."""
     *_, first = _at_end(samples)
     return first is not None
 

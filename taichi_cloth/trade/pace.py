@@ -78,7 +78,7 @@ class Pace:
         return min(most, REFERENCES * self.clock.seconds, max(HALF * self.clock.left(), 0.0))
 
     def over(self, referenced: bool) -> bool:
-        """Whether the study is to end, which is later while there is nothing to show.
+        """True if the study is to end, which is later while there is nothing to show.
 
         referenced: whether there is what to compare to.
         """
@@ -100,7 +100,7 @@ class Pace:
         return known if known is not None else max(guessed, default=0.0)
 
     def fits(self, method: str, made: bool = False) -> bool:
-        """Whether a method may be compiled in time. made: whether it is compiled already.
+        """True if a method may be compiled in time. made: whether it is compiled already.
 
         One that is not done in time has cost nothing but the time that nothing else would have
         used: unless what is finished waits for its timing until then, and is not timed at all.
@@ -111,7 +111,7 @@ class Pace:
         return hope * self.to_compile(method) < self.clock.left()
 
     def is_too_long(self, run: float) -> bool:
-        """Whether a run of so many seconds ends after the time does; note it, if so."""
+        """True if a run of so many seconds ends after the time does; note it, if so."""
         with self._lock:
             late = self.clock.limited and run > self.clock.left()
             if late:
@@ -134,7 +134,7 @@ class Share:
         self._done: list[Outcome] = []
 
     def fits(self, setting: Setting) -> bool:
-        """Whether a setting fits, by those that ran; the first one always does."""
+        """True if a setting fits, by those that ran; the first one always does."""
         return not self._done or self._cost(*self.expected(setting)) <= self._left
 
     def took(self, outcome: Outcome) -> None:

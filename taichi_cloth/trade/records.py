@@ -52,7 +52,7 @@ class Records:
     # --- times ---------------------------------------------------------------------------
 
     def timed(self, scene: Scene, outcome: Outcome, frames: int) -> bool:
-        """Whether the times of a setting are known; they are then the outcome's."""
+        """True if the times of a setting are known; they are then the outcome's."""
         entry = self.journal.get(self.time_key(scene, outcome.setting, frames))
         if entry is not None:
             _put_times(outcome, entry.result)

@@ -92,7 +92,7 @@ class Row:
 
     @property
     def untold(self) -> bool:
-        """Whether its error is the least that the reference can tell from none."""
+        """True if its error is the least that the reference can tell from none."""
         return self.below_floor and self.judged is None
 
     @property

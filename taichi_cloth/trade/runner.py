@@ -185,7 +185,7 @@ class Study:
 
     @property
     def _referenced(self) -> bool:
-        """Whether there is what settings are compared to, where that is asked for."""
+        """True if there is what settings are compared to, where that is asked for."""
         return not self.how.references or len(self._courses[-1].fine) > 1
 
     def _begin_at_once(self) -> None:
@@ -390,7 +390,7 @@ class Study:
     def _is_too_long(
         self, process: TrialProcess, scene: Scene, setting: Setting, frames: int
     ) -> bool:
-        """Whether a run of the whole horizon ends after the time does, by its first frames."""
+        """True if a run of the whole horizon ends after the time does, by its first frames."""
         if not (self.how.whole and self.how.clock.limited and frames > FIRST[-1]):
             return False
         few = self._sample(process, scene, setting, FIRST[-1])

@@ -74,7 +74,7 @@ class Setting:
 
     @property
     def lacks_fast_math(self) -> bool:
-        """Whether fast_math was switched off."""
+        """True if fast_math was switched off."""
         return default_fast_math(self.precision) and not self.fast_math
 
     def describe_solver(self) -> str:

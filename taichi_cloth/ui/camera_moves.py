@@ -51,7 +51,7 @@ class CameraMoves:
 
     @property
     def zooms(self) -> bool:
-        """Whether what was done last was to come nearer, or farther."""
+        """True if what was done last was to come nearer, or farther."""
         return self._last == "zoom"
 
     def zoom(self, notches: float, about: tuple[float, ...] | None = None) -> None:

@@ -104,7 +104,7 @@ class Controls:
 
     @property
     def waits(self) -> bool:
-        """Whether the next `before_frame` compiles for seconds, of which `notice` tells."""
+        """True if the next `before_frame` compiles for seconds, of which `notice` tells."""
         return self._waiting is not None
 
     def ring(self) -> float | None:
@@ -147,7 +147,7 @@ class Controls:
         return event if point is None else replace(event, about=tuple(map(float, point)))
 
     def _presses(self, event: Event) -> bool:
-        """Whether it is a press that the tool in hand takes: with ctrl it turns the scene."""
+        """True if it is a press that the tool in hand takes: with ctrl it turns the scene."""
         return event.kind == "press" and self.takes(event) and "ctrl" not in self._hand.held
 
     def _under(self, pos: tuple[float, float]) -> np.ndarray:
@@ -305,7 +305,7 @@ class Controls:
                 self._follow(Event("view", drag=DRAGS[button]))
 
     def takes(self, event: Event) -> bool:
-        """Whether the press of a button is for the tool in hand; else it may move what is seen."""
+        """True if the press of a button is for the tool in hand; else it may move what is seen."""
         tool = self.tool
         if tool is None or event.button not in tool.buttons:
             return False

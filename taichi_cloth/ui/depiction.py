@@ -60,7 +60,7 @@ class Depiction:
 
     @property
     def ghostly(self) -> bool:
-        """Whether the reference is shown as a ghost, where it is known."""
+        """True if the reference is shown as a ghost, where it is known."""
         return self._errors is not None and self._errors.ghost() is not None
 
     def show_next(self) -> None:

@@ -40,7 +40,7 @@ def fitted(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def _is_whole(film: Path) -> bool:
-    """Whether ffmpeg finished an .mp4: its last box says where the frames are."""
+    """True if ffmpeg finished an .mp4: its last box says where the frames are."""
     if not film.exists():
         return False
     with open(film, "rb") as file:
@@ -52,7 +52,7 @@ def _is_whole(film: Path) -> bool:
 
 
 def has_ffmpeg() -> bool:
-    """Whether an .mp4 can be made."""
+    """True if an .mp4 can be made."""
     try:
         import imageio  # noqa: F401
         import imageio_ffmpeg
@@ -108,7 +108,7 @@ class Film:
         self._frames = 0
 
     def wants(self) -> bool:
-        """Whether the next frame is kept (a .gif leaves some out): call once a frame."""
+        """True if the next frame is kept (a .gif leaves some out): call once a frame."""
         self._frames += 1
         if self._kind == ".mp4":
             return True

@@ -23,7 +23,7 @@ UP = np.array([0.0, 1.0, 0.0])
 
 
 def points_up(world: World) -> bool:
-    """Whether the world's y points up."""
+    """True if the world's y points up."""
     return world.up == "y"
 
 

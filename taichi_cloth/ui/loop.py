@@ -107,7 +107,7 @@ class Loop:
 
     @property
     def ended(self) -> bool:
-        """Whether the user ended the run, or went on to another scene."""
+        """True if the user ended the run, or went on to another scene."""
         return self.view.closed or self.state.quit or self.state.left
 
     def turn(self) -> None:
@@ -256,7 +256,7 @@ class Loop:
         self.state.log_end = -1
 
     def _asks_for_trials(self, event: Event) -> bool:
-        """Whether an event is the panel's key, of a failure of which no setting was tried yet."""
+        """True if an event is the panel's key, of a failure of which no setting was tried yet."""
         finding, key = self._shown.why.finding, self._shown.why.key
         untried = finding is not None and not finding.tried and self.state.failure is not None
         return untried and event.kind == "press" and event.key == key
@@ -368,7 +368,7 @@ class Loop:
             self._obey(command)
 
     def _moves_look(self, event: Event) -> bool:
-        """Whether a press, in the log's window, moves what is seen of a plane."""
+        """True if a press, in the log's window, moves what is seen of a plane."""
         return event.button in PANS and not self._controls.takes(event)
 
     def _give_settings(self) -> None:

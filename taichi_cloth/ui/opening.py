@@ -39,7 +39,7 @@ def offscreen(view: View, world: World) -> View:
 
 
 def opens_window(kind: str) -> bool:
-    """Whether `open_view` opens a window for this kind, or for "auto"."""
+    """True if `open_view` opens a window for this kind, or for "auto"."""
     kinds = presenters.load_all()
     if kind != "auto":
         return kind in kinds and kinds[kind].open is not None

@@ -73,7 +73,7 @@ class Front:
         return _in_front(self._solid.triangles, *self._solid_seen, pixel, outside=True)
 
     def hides(self, particle: int) -> bool:
-        """Whether an obstacle is before all of a particle."""
+        """True if an obstacle is before all of a particle."""
         top = self.depth[particle] - self._radii[particle]
         return bool(self.solid(self.places[particle])[1] < top)
 
@@ -88,7 +88,7 @@ class Front:
             self._solid = replace(self._solid, triangles=triangles)
 
     def hides_spring(self, ends: np.ndarray, start: np.ndarray, end: np.ndarray) -> bool:
-        """Whether an obstacle is before a spring where a way between pixels (2,) crosses it.
+        """True if an obstacle is before a spring where a way between pixels (2,) crosses it.
 
         ends: (2,), its particles.
         """

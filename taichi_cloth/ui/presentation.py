@@ -168,7 +168,7 @@ class Presentation:
 
     @property
     def _lists_keys(self) -> bool:
-        """Whether the key list is seen; a film that is being made leaves it out."""
+        """True if the key list is seen; a film that is being made leaves it out."""
         filmed = self._takes.shutter.state is not None and not self._state.stopped
         return self._show_help and not filmed
 
@@ -208,7 +208,7 @@ class Presentation:
 
     @property
     def glides(self) -> bool:
-        """Whether pictures between frames are drawn: films take frames, and tools at rest, too."""
+        """True if pictures between frames are drawn: films take frames, and tools at rest, too."""
         state = self._state
         return state.pace.slowness > 1 and not state.stopped and not self._takes.filming
 
@@ -311,7 +311,7 @@ class Presentation:
         return hud.faster(self.meter, shortens=lambda: budget is not None and budget.shortens)
 
     def _in_view(self) -> bool:
-        """Whether any particle or triangle is in the picture, or there is none at all."""
+        """True if any particle or triangle is in the picture, or there is none at all."""
         place, radius, camera = self._sim.drawn_positions(), self._sim.radii(), self._view.camera
         few = slice(None, None, 1 + len(place) // SAMPLE)  # nearly always one of them is
         here, near = self._window.here, camera.nearest_drawn if camera else -np.inf

@@ -41,16 +41,16 @@ class RunState:
 
     @property
     def replaying(self) -> bool:
-        """Whether the log still has events for this frame or a later one."""
+        """True if the log still has events for this frame or a later one."""
         return self.frames <= self.log_end
 
     @property
     def stopped(self) -> bool:
-        """Whether no frame comes by itself."""
+        """True if no frame comes by itself."""
         return self.paused or self.failure is not None
 
     def due(self) -> bool:
-        """Whether this turn advances a frame, of those that slow motion spaces out; ask once."""
+        """True if this turn advances a frame, of those that slow motion spaces out; ask once."""
         due = self.step or (not self.paused and self.pace.turn())
         self.step = False
         return due and self.failure is None

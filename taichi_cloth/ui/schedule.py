@@ -27,7 +27,7 @@ class Schedule:
         self._awake_until = time.perf_counter() + AWAKE
 
     def draws(self, moved: bool, size: tuple[int, int]) -> bool:
-        """Whether the window, of this size, is to be drawn: where nothing `moved`, now and then."""
+        """True if the window, of this size, is to be drawn: where nothing `moved`, now and then."""
         now = time.perf_counter()
         if moved or size != self._drawn_size:
             self._awake_until = now + AWAKE

@@ -162,7 +162,7 @@ def as_png(pixels: np.ndarray) -> bytes:
 
 
 def in_notebook() -> bool:
-    """Whether a notebook's kernel runs us, which shows pictures beneath its cells."""
+    """True if a notebook's kernel runs us, which shows pictures beneath its cells."""
     if "IPython" not in sys.modules:
         return False
     from IPython import get_ipython

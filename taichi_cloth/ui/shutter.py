@@ -52,7 +52,7 @@ class Shutter:
         self._trying(begin)
 
     def wants(self) -> bool:
-        """Whether the film takes the frame just simulated: call once a frame."""
+        """True if the film takes the frame just simulated: call once a frame."""
         if self._film is None:
             return False
         self._frames += 1
@@ -67,7 +67,7 @@ class Shutter:
 
     @property
     def due(self) -> bool:
-        """Whether the frame that is drawn next is to be saved as a picture."""
+        """True if the frame that is drawn next is to be saved as a picture."""
         return self._due
 
     def take(self, pixels: np.ndarray) -> None:
@@ -116,7 +116,7 @@ class Shutter:
             print(in_terminal, flush=True)
 
     def _trying(self, act: Callable[[], object]) -> bool:
-        """Whether `act` did it; what it is refused for is told, and ends no run."""
+        """True if `act` did it; what it is refused for is told, and ends no run."""
         try:
             act()
         except InputError as error:

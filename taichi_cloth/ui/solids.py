@@ -53,12 +53,12 @@ class Solids:
 
 
 def turns(scene: Scene, number: int) -> bool:
-    """Whether an obstacle turns."""
+    """True if an obstacle turns."""
     return bool(np.any(scene.obstacles[number].values.get("spin", 0.0)))
 
 
 def has_box_floor(world: World) -> bool:
-    """Whether a 3-D world is a box with a bottom, which is seen as its floor."""
+    """True if a 3-D world is a box with a bottom, which is seen as its floor."""
     return world.dim == 3 and world.up != "y" and "bottom" in world.walls and world.ground is None
 
 

@@ -96,7 +96,7 @@ def instead(env: Mapping[str, str] | None = None) -> str:
 
 
 def is_forwarded(env: Mapping[str, str] | None = None) -> bool:
-    """Whether the display is lent over SSH: each picture then goes through the network."""
+    """True if the display is lent over SSH: each picture then goes through the network."""
     env = os.environ if env is None else env
     return _over_ssh(env) and bool(
         re.match(r"(localhost|127\.0\.0\.1|\[::1\]):", env.get("DISPLAY", ""))
@@ -119,7 +119,7 @@ class Equipment:
 
     @property
     def has_wheel(self) -> bool:
-        """Whether the mouse has a wheel."""
+        """True if the mouse has a wheel."""
         return self.buttons >= 5
 
 

@@ -28,17 +28,17 @@ class Takes:
 
     @property
     def filming(self) -> bool:
-        """Whether a film is being made, of whatever frame comes next."""
+        """True if a film is being made, of whatever frame comes next."""
         return len(self._films) > 1 or self.shutter.state is not None
 
     @property
     def due(self) -> bool:
-        """Whether the frame that is drawn now is wanted."""
+        """True if the frame that is drawn now is wanted."""
         return bool(self._waiting) or self.shutter.due
 
     @property
     def of_world(self) -> bool:
-        """Whether what is drawn now goes into a picture or a film of the world's room alone."""
+        """True if what is drawn now goes into a picture or a film of the world's room alone."""
         return self.shutter.due or self.shutter in self._waiting
 
     def take(self, pixels: np.ndarray, room: Rect) -> None:
@@ -52,7 +52,7 @@ class Takes:
 
     @property
     def missing(self) -> bool:
-        """Whether a film still wants the frame last drawn, because the window went meanwhile."""
+        """True if a film still wants the frame last drawn, because the window went meanwhile."""
         return bool(self._waiting)
 
     def save(self, files: ExitStack) -> None:

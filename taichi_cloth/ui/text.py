@@ -57,7 +57,7 @@ def _letter_in_font(letter: str) -> str:
 
 
 def _has(letter: str) -> bool:
-    """Whether the font has a letter; others it draws as it draws no letter."""
+    """True if the font has a letter; others it draws as it draws no letter."""
     drawn, none = (bytes(_font(16).getmask(which)) for which in (letter, NO_LETTER))
     return letter.isascii() or drawn != none
 

@@ -219,7 +219,7 @@ class Timeline:
 
     @property
     def touched(self) -> bool:
-        """Whether the frame that was gone back to is no longer as it was: something was done."""
+        """True if the frame that was gone back to is no longer as it was: something was done."""
         return self.at is not None and self._marks() != self._untouched
 
     def _marks(self) -> tuple[Any, ...]:
@@ -323,7 +323,7 @@ class Pace:
         self.slowness, self._shown = slowness, self._shown * slowness // self.slowness
 
     def turn(self) -> bool:
-        """Whether the next frame is due in this turn of a window, sixty of which are a second."""
+        """True if the next frame is due in this turn of a window, sixty of which are a second."""
         self._shown += 1
         if self._shown < self.slowness:
             return False

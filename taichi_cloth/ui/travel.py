@@ -59,7 +59,7 @@ class Travel:
 
     @property
     def away(self) -> bool:
-        """Whether the run is at a frame that was gone back to."""
+        """True if the run is at a frame that was gone back to."""
         return self.timeline.at is not None
 
     def event(self, frame: int, event: LogEvent) -> None:

@@ -52,17 +52,17 @@ class View:
 
     @property
     def visible(self) -> bool:
-        """Whether there is a window."""
+        """True if there is a window."""
         return self._presenter is not None
 
     @property
     def has_wheel(self) -> bool:
-        """Whether the mouse's wheel is reported."""
+        """True if the mouse's wheel is reported."""
         return self._presenter is not None and self._presenter.has_wheel
 
     @property
     def closed(self) -> bool:
-        """Whether the window is gone."""
+        """True if the window is gone."""
         return self._presenter.closed if self._presenter else self._closed
 
     @property

@@ -375,7 +375,7 @@ class Connection:
         return [self._input(event) for event in read if event.window == self.window]
 
     def lost_focus(self) -> bool:
-        """Whether another window got the keyboard since the last call, be it for a moment.
+        """True if another window got the keyboard since the last call, be it for a moment.
 
         Keys that were down then are let go where we do not see it. It also looks where the
         pointer goes (`leaves`).
@@ -389,7 +389,7 @@ class Connection:
         return lost
 
     def leaves(self) -> bool:
-        """Whether the pointer left the window since the last call; `lost_focus` looks."""
+        """True if the pointer left the window since the last call; `lost_focus` looks."""
         leaves, self._leaves = self._leaves, False
         return leaves
 
@@ -424,11 +424,11 @@ class Connection:
         return w.value, h.value
 
     def is_gone(self) -> bool:
-        """Whether the window no longer exists (closing it by its frame only asks it to go)."""
+        """True if the window no longer exists (closing it by its frame only asks it to go)."""
         return self.size() is None
 
     def is_cut(self) -> bool:
-        """Whether the window is gone because its connection was cut, or the display ended."""
+        """True if the window is gone because its connection was cut, or the display ended."""
         for display in (self._display, *self._displays):
             if display not in _CUT:
                 self._x.XSync(display, 0)

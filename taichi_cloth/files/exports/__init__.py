@@ -67,7 +67,7 @@ class Export:
 
     @property
     def left_out(self) -> int:
-        """How many particles are left out, of the frame that has the most."""
+        """The number of particles left out, of the frame that has the most."""
         return max((more for _, more in self._noted), default=0)
 
     @property
@@ -188,7 +188,7 @@ def _mesh_beside(path: Path, clock: Clock, scene: Exportable) -> PendingFile | N
 
 
 def _is_mesh(path: Path, text: bytes, count: int, faces: np.ndarray) -> bool:
-    """Whether a file has as many vertices, and triangles between the same ones."""
+    """True if a file has as many vertices, and triangles between the same ones."""
     try:
         if path.read_bytes() == text:
             return True

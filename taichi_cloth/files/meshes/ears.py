@@ -28,7 +28,7 @@ def cut(x: np.ndarray) -> np.ndarray:
 
 
 def crosses(x: np.ndarray, triangles: np.ndarray) -> bool:
-    """Whether a polygon with corners x (c, 3) crosses itself, or `triangles` (c - 2, 3), into which
+    """True if a polygon with corners x (c, 3) crosses itself, or `triangles` (c - 2, 3), into which
     it was cut, turn back. Sides that touch, or lie on each other, do not cross. Costs c^2.
     """
     p = _flat(x)
@@ -117,7 +117,7 @@ class _Ears:
         self.width[a], self.width[c] = self._width(a), self._width(c)
 
     def _is_free(self, b: int, margin: float) -> bool:
-        """Whether no other corner lies in the triangle at b, or nearer to it than the margin."""
+        """True if no other corner lies in the triangle at b, or nearer to it than the margin."""
         corners = self.back[b], b, self.ahead[b]
         inside = np.ones(len(self.points), bool)
         for n, m in zip(corners, (*corners[1:], corners[0]), strict=True):

@@ -72,7 +72,7 @@ class Surface:
         return bool((np.unique(_edge_keys(begin, end), return_counts=True)[1] == 2).all())
 
     def parts(self) -> int:
-        """How many parts there are that no edge joins."""
+        """The number of parts that no edge joins."""
         ends = self.triangles[:, [0, 1, 1, 2]].reshape(-1, 2)
         return int(components(ends, len(self.vertices))[0])
 

@@ -28,12 +28,12 @@ def present_in(scene: Any) -> tuple[str, ...]:
 
 
 def act_on_triangles(scene: Any) -> bool:
-    """Whether any force that a scene needs acts on triangles."""
+    """True if any force that a scene needs acts on triangles."""
     return _any_on_triangles(present_in(scene))
 
 
 def has_tractions(spec: Any) -> bool:
-    """Whether any force of a specialization acts on triangles."""
+    """True if any force of a specialization acts on triangles."""
     return _any_on_triangles(spec.terms)
 
 

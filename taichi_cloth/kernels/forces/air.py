@@ -247,7 +247,7 @@ def steady(world):
 
 
 def present(scene):
-    """Whether the scene has air and surfaces in it."""
+    """True if the scene has air and surfaces in it."""
     return _of(scene.world, AIR)["density"] > 0 and len(scene.triangles) > 0
 
 

@@ -27,7 +27,7 @@ def stiffness(k):
 
 
 def present(scene):
-    """Whether any stencil of the scene has a rigidity."""
+    """True if any stencil of the scene has a rigidity."""
     return bool((scene.stencils.bending > 0).any())
 
 

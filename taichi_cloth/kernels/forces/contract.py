@@ -206,5 +206,5 @@ PARTS = tuple(part.name for part in fields(Term) if part.default is MISSING)
 
 
 def has(part: Part | Absent) -> TypeGuard[Part]:
-    """Whether a term has a part: it is not declared absent."""
+    """True if a term has a part: it is not declared absent."""
     return not isinstance(part, Absent)

@@ -30,7 +30,7 @@ def damping(numbers: ti.template()):
 
 
 def present(scene):
-    """Whether any spring of the scene, or any that clicks make, is damped."""
+    """True if any spring of the scene, or any that clicks make, is damped."""
     clicked = scene.world.takes_clicks and scene.spring_defaults.damping > 0
     return bool((scene.springs.damping > 0).any() or clicked)
 

@@ -36,7 +36,7 @@ def damping(spec: ti.template(), state: ti.template(), number: ti.template(), i)
 
 
 def present(scene):
-    """Whether any particle of the scene, or any that clicks make, has drag."""
+    """True if any particle of the scene, or any that clicks make, has drag."""
     clicked = scene.world.takes_clicks and scene.particle_defaults.viscous > 0
     return bool((scene.particles.viscous > 0).any() or clicked)
 

@@ -30,7 +30,7 @@ def across(length, numbers: ti.template(), least):
 
 
 def present(scene):
-    """Whether the scene has springs, clicks can make some, or stencils are summed as they are."""
+    """True if the scene has springs, clicks can make some, or stencils are summed as they are."""
     bends = bool((scene.stencils.bending > 0).any())
     return scene.world.takes_clicks or len(scene.springs) > 0 or bends
 

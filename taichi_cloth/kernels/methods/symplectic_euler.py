@@ -32,7 +32,7 @@ def move(spec: ti.template(), state: ti.template(), i, a):
 
 
 def kicks_first(spec):
-    """Whether velocities change as soon as forces are known, and positions in a loop of their own.
+    """True if velocities change as soon as forces are known, and positions in a loop of their own.
 
     What meets walls and other particles needs its velocity from before, too.
     """

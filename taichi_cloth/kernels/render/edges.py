@@ -82,7 +82,7 @@ def _differ(a, b):
 
 @ti.func
 def is_edge(this, w, names, near: ti.template()):
-    """Whether a pixel is an edge. this: where its name stands in `near`."""
+    """True if a pixel is an edge. this: where its name stands in `near`."""
     name, code, found = near[this], near[this + names], False
     for step in ti.static(range(4)):
         there = this + ti.static((-1, 1, 0, 0)[step]) + ti.static((0, 0, -1, 1)[step]) * (w + 2)

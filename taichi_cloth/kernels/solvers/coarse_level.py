@@ -28,7 +28,7 @@ LIFTED = 128.0  # by so many epsilons diagonals of P^T A P are larger
 
 
 def unknowns(spec):
-    """How many numbers the coarse level has at most."""
+    """The number of numbers that the coarse level has at most."""
     return block_packs(spec) * spec.dim * spec.lanes
 
 

@@ -162,7 +162,7 @@ def _renewed(colours):
 
 
 def _resists(spec):
-    """Whether any force on particles or triangles has damping."""
+    """True if any force on particles or triangles has damping."""
     return resists(spec) or has_tractions(spec)
 
 

@@ -455,7 +455,7 @@ def _judge(spec: ti.template(), state: ti.template(), i):
 
 @ti.func
 def _may_be_cut(spec: ti.template(), state: ti.template()):
-    """Whether a step may be cut in two where a stage does not converge."""
+    """True if a step may be cut in two where a stage does not converge."""
     if ti.static(has_tractions(spec) or not state.symplectic):
         return state.halvings[None] < MOST_HALVINGS
     else:
@@ -464,7 +464,7 @@ def _may_be_cut(spec: ti.template(), state: ti.template()):
 
 @ti.func
 def _is_cut_soon(spec: ti.template(), state: ti.template()):
-    """Whether it is where a stage does not converge soon."""
+    """True if it is where a stage does not converge soon."""
     if ti.static(has_tractions(spec)):
         return _may_be_cut(spec, state)
     else:

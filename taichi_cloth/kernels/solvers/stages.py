@@ -253,7 +253,7 @@ def _part_of_load(state: ti.template()):
 
 
 def may_be_rough(of):
-    """Whether solutions may be rough: not where steps begin with the acceleration at their start.
+    """True if solutions may be rough: not where steps begin with the acceleration at their start.
 
     What the step before has left is a part of that, and would grow from step to step.
     of: a method, or a state for it.

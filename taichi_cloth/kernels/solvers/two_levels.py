@@ -28,7 +28,7 @@ STIFF = 100.0
 
 
 def has_two_levels(spec):
-    """Whether directions are preconditioned so: A is symmetric, and all springs are links of grids,
+    """True if directions are preconditioned so: A is symmetric, and all springs are links of grids,
     or all are on a graph, where the host has found them stiff.
     """
     return (spec.only_links or spec.blocks_on_graph) and not has_tractions(spec)

@@ -57,7 +57,7 @@ class Container:
         return container
 
     def fits(self, spec: Specialization, topology: str) -> bool:
-        """Whether the fields are those of `spec` in a topology, and more."""
+        """True if the fields are those of `spec` in a topology, and more."""
         return self.topology == topology and self.spec.can_run(spec)
 
 

@@ -84,7 +84,7 @@ class DeviceState:
         return Placements(scene, self._needs, self._lanes, self._may_pack(scene))
 
     def _may_pack(self, scene: Scene) -> bool:
-        """Whether rows of a graph may be packed here, in a scene of which self.solids are.
+        """True if rows of a graph may be packed here, in a scene of which self.solids are.
 
         Solvers go through springs in ways of their own. Where a cloth's faces meet what is in its
         way, most of a step is that, and packs would take seconds more to compile.
@@ -99,7 +99,7 @@ class DeviceState:
 
     @property
     def altered(self) -> bool:
-        """Whether the state was changed from outside since the last step."""
+        """True if the state was changed from outside since the last step."""
         return self._altered
 
     @property

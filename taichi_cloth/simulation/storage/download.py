@@ -108,7 +108,7 @@ class Download(DeviceState):
         return self._surfaces.whole(self.scene, self.springs_alive())
 
     def count_broken(self) -> int:
-        """How many springs are not whole; the device counts them where they are many."""
+        """The number of springs that are not whole; the device counts them where they are many."""
         if not self.specialization.fracture:
             return 0
         count = len(self._now.placement.graph_springs)

@@ -430,7 +430,7 @@ def _kinds_among(kind: np.ndarray) -> np.ndarray:
 
 
 def _alike(springs: Springs, kind: np.ndarray, grids: Sequence[adjacency.Grid], depth: int) -> bool:
-    """Whether the links of all rows, but the last `depth` of each grid, are those of the first."""
+    """True if the links of all rows, but the last `depth` of each grid, are those of the first."""
     first = springs.between.min(axis=1)
     for block in grids:
         inside = (first >= block.first) & (first < block.first + block.rows * block.columns)

@@ -81,7 +81,7 @@ class Loading(DeviceState):
         return self._placements.topologies()
 
     def is_simple(self) -> bool:
-        """Whether particles have nothing but springs, walls and terms of their own."""
+        """True if particles have nothing but springs, walls and terms of their own."""
         return self._placements.is_simple()
 
     def kind(self, topology: str, path: str) -> str:
@@ -101,7 +101,7 @@ class Loading(DeviceState):
         self._fill(self._make_room(placement, topology), placement, path, numbers)
 
     def fits(self, snapshot: Snapshot) -> bool:
-        """Whether a state could be loaded without compiling anything anew."""
+        """True if a state could be loaded without compiling anything anew."""
         before = self._taken, self._placements, self.solids, self.pushed
         container = self._now.container
         try:
@@ -227,13 +227,13 @@ class Loading(DeviceState):
 
 
 def _same_solids(one: Scene, other: Scene) -> bool:
-    """Whether the same is in the way in two scenes."""
+    """True if the same is in the way in two scenes."""
     radius = [scene.particles.radius.max(initial=0.0) for scene in (one, other)]
     return one.obstacles is other.obstacles and one.world is other.world and radius[0] == radius[1]
 
 
 def _same_places(one: Scene, other: Scene) -> bool:
-    """Whether the particles and springs of two scenes are placed alike, whatever else differs."""
+    """True if the particles and springs of two scenes are placed alike, whatever else differs."""
     return (
         one.springs is other.springs
         and one.stencils is other.stencils

@@ -38,7 +38,7 @@ class PackedRows:
 
     @property
     def copies(self) -> int:
-        """How many columns have other ends that do not follow each other."""
+        """The number of columns that have other ends that do not follow each other."""
         return len(self.copied) // LANES
 
 

@@ -91,11 +91,11 @@ class Placements:
         return self._blocks
 
     def is_simple(self) -> bool:
-        """Whether particles have nothing but springs, walls and terms of their own."""
+        """True if particles have nothing but springs, walls and terms of their own."""
         return self._may_be_packed() and not self._scene.features().obstacles
 
     def _may_be_packed(self) -> bool:
-        """Whether a scene has nothing that packed rows of a graph do not know, or gain nothing in.
+        """True if a scene has nothing that packed rows of a graph do not know, or gain nothing in.
 
         That is what acts on triangles, stencils and pairs, or changes numbers of springs.
         """

@@ -78,20 +78,20 @@ def specialization(
 
 
 def _are_large(stencils: Stencils, placement: Placement) -> bool:
-    """Whether any listed stencil has more than the three particles of those of grids, which are
+    """True if any listed stencil has more than the three particles of those of grids, which are
     computed anew as soon as kept.
     """
     return bool((stencils.sizes[placement.graph_stencils] > 3).any())
 
 
 def _is_large_net(scene: Scene) -> bool:
-    """Whether it is worth the while to compute several springs at once."""
+    """True if it is worth the while to compute several springs at once."""
     particles, springs = len(scene.particles), len(scene.springs)
     return particles >= WORTH_SORTING and springs >= 2 * particles
 
 
 def _is_stiff(scene: Scene) -> bool:
-    """Whether springs of many particles are so stiff at the scene's step that blocks may pay.
+    """True if springs of many particles are so stiff at the scene's step that blocks may pay.
 
     A step of a method, or a stage of it, may be shorter: kernels look again (`newton_cg._judge`).
     """

@@ -76,7 +76,7 @@ class Storage(Loading, Download, Handling):
             self._launch(fracture.mark_new_springs, steps)
 
     def _may_break(self) -> bool:
-        """Whether any spring may be over its limit, however lengths are rounded on the device.
+        """True if any spring may be over its limit, however lengths are rounded on the device.
 
         Where none may, as in nearly all scenes, there is no kernel to compile.
         """
@@ -177,7 +177,7 @@ class Storage(Loading, Download, Handling):
         self._fill(container, placement, path, numbers)
 
     def _patches(self) -> int:
-        """How many patches of particles are compared as one."""
+        """The number of patches of particles that are compared as one."""
         thick = self._now.container.spec.thick
         return len(self.scene.spheres.patch_start) - 1 if thick else 0
 

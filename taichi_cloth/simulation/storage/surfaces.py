@@ -32,7 +32,7 @@ class _OnDevice:
     free: weakref.finalize | None
 
     def holds(self, triangles: int, particles: int) -> bool:
-        """Whether the fields are no one else's, and there is room for so many."""
+        """True if the fields are no one else's, and there is room for so many."""
         room = self.surface.capacity
         return self.free is not None and room[0] >= triangles and room[1] >= particles
 

@@ -118,7 +118,7 @@ class Upload(SpringFilling, SurfaceFilling):
         self.halo_numbers()
 
     def _is_haloed(self, name: str) -> bool:
-        """Whether neighbours read a field of vectors."""
+        """True if neighbours read a field of vectors."""
         return any(getattr(self.state, name) is field for field in self.state.haloed)
 
     def halo_numbers(self) -> None:

@@ -96,11 +96,11 @@ class Chrome:
         return self._open
 
     def is_open(self, name: str) -> bool:
-        """Whether a part is open."""
+        """True if a part is open."""
         return name in (self._open.row, *self._open.columns)
 
     def lacks_room(self, name: str, layout: Layout) -> bool:
-        """Whether a part is open that a window is too small to show."""
+        """True if a part is open that a window is too small to show."""
         return self.is_open(name) and name not in {part.name for part, _ in self._placed(layout)}
 
     def layout(self, size: tuple[int, int]) -> Layout:

@@ -46,7 +46,7 @@ class Errors(Protocol):
 
     @property
     def on(self) -> bool:
-        """Whether it measures."""
+        """True if it measures."""
 
     def switch(self) -> None:
         """Begin to measure, or end."""

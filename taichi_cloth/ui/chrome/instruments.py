@@ -274,7 +274,7 @@ def penetration(of: Source) -> Meter | None:
 
 
 def broken(of: Source) -> Meter | None:
-    """How many springs are broken; where none can break there is no such meter."""
+    """The number of springs that are broken; where none can break there is no such meter."""
     state, springs = of.gauges.state, of.sim.storage.scene.springs
     if state is None or not (np.isfinite(springs.break_force).any() or state.broken):
         return None

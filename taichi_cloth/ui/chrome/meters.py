@@ -67,7 +67,7 @@ class Meters:
 
     @property
     def measures(self) -> bool:
-        """Whether the error of what is seen is measured."""
+        """True if the error of what is seen is measured."""
         return self._errors is not None and self._errors.on
 
     def switch(self, command: str) -> str:
@@ -145,7 +145,7 @@ class Meters:
 
 
 def _fits(panel: Panel, rect: Rect) -> bool:
-    """Whether a panel was drawn for this rectangle."""
+    """True if a panel was drawn for this rectangle."""
     size = panel.tile.pixels.shape[:2]
     return (panel.x, panel.y, size) == (rect.x, rect.y, (rect.height, rect.width))
 

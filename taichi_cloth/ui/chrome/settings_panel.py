@@ -300,7 +300,7 @@ class SettingsPanel:
             self._set(row.setting, rows.at(row.setting, (pos[0] - rect.x - first) / wide))
 
     def _uses(self, key: str) -> bool:
-        """Whether a key means something to the panel; all others are the window's."""
+        """True if a key means something to the panel; all others are the window's."""
         if key in ("up", "down"):
             return True
         row = self._row(self._chosen)
@@ -409,7 +409,7 @@ class SettingsPanel:
 
     @property
     def compiles(self) -> bool:
-        """Whether what was set since the last `flush` compiles kernels."""
+        """True if what was set since the last `flush` compiles kernels."""
         found = [live.setting(self._sim, name) for name in self.given]
         return any(one.compiles(self._sim, self.given[one.name]) for one in found)
 

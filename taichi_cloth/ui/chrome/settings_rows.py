@@ -53,7 +53,7 @@ class Row:
 
     @property
     def has_slider(self) -> bool:
-        """Whether it is a number that can be dragged."""
+        """True if it is a number that can be dragged."""
         kinds = (live.NUMBER, live.COUNT)
         return bool(self.setting and not self.option and self.setting.kind in kinds) and (
             not self.fixed
@@ -138,7 +138,7 @@ def track(width: int, height: int) -> tuple[int, int]:
 
 
 def is_on_slider(placed: Placed, y: float, height: int) -> bool:
-    """Whether so many pixels under a row's top are on its slider."""
+    """True if so many pixels under a row's top are on its slider."""
     return placed.row.has_slider and y > placed.tall - (SLIDER + 0.4) * height
 
 
@@ -234,7 +234,7 @@ def marked(word: str) -> str:
 
 
 def same(a: Value, b: Value) -> bool:
-    """Whether two values are one."""
+    """True if two values are one."""
     if isinstance(a, (int, float)) and isinstance(b, (int, float)):
         return bool(np.isclose(float(a), float(b), rtol=1e-6, atol=0))
     return a == b

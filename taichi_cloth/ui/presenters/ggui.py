@@ -154,7 +154,7 @@ class GguiPresenter:
             self._tap.entitle(self._title)
 
     def _was_destroyed(self) -> bool:
-        """Whether the window is gone; it is closed then. Raises ConnectionCut where that is why."""
+        """True if the window is gone; it is closed then. Raises ConnectionCut where that is why."""
         if self._tap is None or not self._tap.is_gone():
             return False
         failure = self._cut()

@@ -113,7 +113,7 @@ class GuiPresenter:
         return fewest_moves(out)
 
     def _reported(self) -> tuple[bool, list[Event]]:
-        """Whether ti.GUI says that the window closes, and the events that it reports."""
+        """True if ti.GUI says that the window closes, and the events that it reports."""
         gui, out = self._gui, list[Event]()
         for event in gui.get_events():
             pointer, name = self._pixel(*event.pos), key_name(event.key)

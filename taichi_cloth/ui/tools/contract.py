@@ -192,7 +192,7 @@ class Hand:
 
     @property
     def in_pixels(self) -> bool:
-        """Whether the world is measured in pixels, as the original's."""
+        """True if the world is measured in pixels, as the original's."""
         world = self.sim.scene.world
         return world.up != "y" and min(world.size[:2]) >= FEWEST_PIXELS
 
