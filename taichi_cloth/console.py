@@ -1,4 +1,4 @@
-"""What a terminal and a document are shown: tables, progress, durations, marked places filled.
+"""Text for terminals and documents: tables, progress, durations, marked places filled.
 
 Rich is imported only where something is shown, so that start-up is quick.
 """

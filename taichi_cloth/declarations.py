@@ -20,7 +20,7 @@ def names(folder: Iterable[str]) -> tuple[str, ...]:
 
 
 def load(package: str, name: str, constant: str, contract: type[D]) -> D:
-    """What the file `name` of a package declares as `constant`, which must be a `contract`.
+    """Load the `constant` that the file `name` of a package declares, which must be a `contract`.
 
     One that says its name has the file's. A part that the declaration lacks or that makes no sense
     raises TypeError naming file and part.

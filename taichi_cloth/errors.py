@@ -1,4 +1,4 @@
-"""What can end a run early: the user's input is refused, or the run fails.
+"""Errors that end a run early: the user's input is refused, or the run fails.
 
 Both carry one line that says what was wrong, where, and what to do; the command
 line prints that line and nothing else (no traceback for a user's mistake). The wording
@@ -27,7 +27,7 @@ class InputError(ValueError):
 
 
 class RunFailure(RuntimeError):
-    """What was asked for cannot be computed (exit status 3). The message is one line."""
+    """A request that cannot be computed (exit status 3). The message is one line."""
 
     exit_status = 3
 
@@ -52,7 +52,7 @@ class SimulationFailure(RunFailure):
         super().__init__(self._line("likely cause"))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """How it is pickled, as by pools of processes: by its parts, since it is made of these."""
+        """Pickle it by its parts, of which it is made."""
         parts = (self.particle, self.frame, self.what, self.cause, self.remedy)
         return type(self), parts, vars(self) | {"args": self.args}
 

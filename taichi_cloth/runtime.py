@@ -42,7 +42,7 @@ NEEDS = {  # what a backend that is not usable would need
 
 @dataclass(frozen=True)
 class Device:
-    """What a run computes on. threads: CPU worker threads (1 on other backends).
+    """The device of a run. threads: CPU worker threads (1 on other backends).
 
     precision: f32, f64, or compensated: f32 with compensated sums (`kernels/compensated.py`).
     multiprocessors: of a CUDA GPU, each of which has room for a block of threads; 0 elsewhere.
@@ -329,7 +329,7 @@ def _remove_caches() -> None:
 
 
 def _block_size(arch: str) -> dict[str, int]:
-    """How many threads a block of a GPU's has in loops outside, where it is not Taichi's 128."""
+    """Threads in a block of a GPU's outer loops, where it is not Taichi's 128."""
     if arch == "cuda":  # with 128 2048 x 2048 take 1.02 to 1.10 times as long on an H100
         return {"default_gpu_block_dim": 256}
     # Mesa's driver on the processor (22.3) runs 8 threads at once, and where all 8 have nothing to
@@ -362,7 +362,7 @@ def _end() -> None:
 
 
 def _multiprocessors() -> int:
-    """How many multiprocessors the first CUDA GPU has, by its driver."""
+    """Count the multiprocessors of the first CUDA GPU, by its driver."""
     count, device = ctypes.c_int(), ctypes.c_int()
     driver = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
     attribute = 16  # CU_DEVICE_ATTRIBUTE_MULTIPROCESSOR_COUNT

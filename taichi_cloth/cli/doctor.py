@@ -44,7 +44,7 @@ def main() -> int:
 
 
 def _print_choices(to: Console) -> None:
-    """How scenes ran here: what a launch and a step cost in each way, the newest first."""
+    """Times of scenes that ran here: a launch and a step in each way, the newest first."""
     from taichi_cloth.simulation import autotune
 
     measured = list(reversed(autotune.measurements()))
@@ -114,7 +114,7 @@ def _video_writer() -> Finding:
 
 
 def _compiled_beside() -> Finding:
-    """What runs have compiled beside themselves, and where that went wrong."""
+    """Report what runs have compiled beside themselves, and where that went wrong."""
     from taichi_cloth.simulation import aside
 
     tried = aside.all_tried()
@@ -130,7 +130,7 @@ def _compiled_beside() -> Finding:
 
 
 def _cache_folders() -> Iterator[Finding]:
-    """Where compiled kernels and the measured execution paths are kept."""
+    """The folders of compiled kernels and of measured execution paths."""
     from taichi_cloth.simulation import autotune
 
     for name, folder in (

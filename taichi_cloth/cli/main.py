@@ -133,7 +133,7 @@ def _say_error(text: str) -> None:
 
 
 def _somewhere() -> str:
-    """Where an error of the system may have been that does not say it."""
+    """The likely place of a system's error that does not say it."""
     try:
         os.getcwd()
     except OSError:

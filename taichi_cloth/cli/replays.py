@@ -49,7 +49,7 @@ FINER = ("substeps", "dt", "method", "precision")
 
 @dataclass
 class About:
-    """What is said of the runs beside their comparison: notes, and JSON values by their names."""
+    """Notes on the runs beside their comparison, and JSON values by their names."""
 
     notes: list[str] = field(default_factory=list)
     values: dict[str, Any] = field(default_factory=dict)
@@ -211,7 +211,7 @@ def _without_sets(path: Path, log: Log, fixed: set[str], folder: Path, about: Ab
 
 @contextlib.contextmanager
 def _folder(keep: str | None) -> Iterator[Path]:
-    """Where the recordings go: a folder that stays, or one that does not."""
+    """The folder of the recordings: one that stays, or one that does not."""
     if keep is None:
         with tempfile.TemporaryDirectory(prefix="taichi-cloth-") as made:
             yield Path(made)
@@ -257,7 +257,7 @@ def _run(name: str, words: Sequence[str], file: Path) -> str | None:
 
 
 def _changes(options: CompareOptions) -> str:
-    """What B has that A has not, in words."""
+    """The settings that B has and A has not, in words."""
     given = {name: getattr(options, name) for name in FINER if name in options.given}
     return ", ".join(f"{name} {value}" for name, value in given.items())
 

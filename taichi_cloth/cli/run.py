@@ -196,7 +196,7 @@ def _run_in(window: Window, run: Run, device: Device) -> tuple[int, RunFailure |
 
 
 def _noted(run: Run) -> Recordings | None:
-    """What notes the frames of a run, and of one beside it."""
+    """The recorders of a run's frames, and of one beside it."""
     files = run.of.files
     if not files.recordings:
         return None
@@ -317,7 +317,7 @@ def _seed(options: RunOptions, log: Log | None) -> int:
 
 
 def _of_frames(options: RunOptions, view: View) -> dict[str, Any]:
-    """What the options say of the run's frames, as `app.run` takes it.
+    """The options on the run's frames, as `app.run` takes them.
 
     Without a number of frames a run in a window ends when the user quits (None).
     """

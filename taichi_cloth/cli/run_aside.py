@@ -39,12 +39,12 @@ class Faster:
 
     @property
     def doing(self) -> str:
-        """What a window says while they are compiled."""
+        """A window's words while they are compiled."""
         return f"compiling {self.words} for later runs"
 
     @property
     def done(self) -> str:
-        """What it says afterwards."""
+        """Its words afterwards."""
         return f"{self.words} are there for later runs"
 
 
@@ -67,7 +67,7 @@ def compiled_beside(sim: Simulation, options: RunOptions) -> Iterator[None]:
 
 
 def _compiler(sim: Simulation, options: RunOptions) -> Compiler | None:
-    """What compiles for runs like this one; None: nothing does."""
+    """The process that compiles for runs like this one; None: there is none."""
     from taichi_cloth.simulation import aside
 
     if not runtime.keeps_kernels():

@@ -32,7 +32,7 @@ SHOWN = 600  # frames of a graph of ten seconds
 
 
 def asked(options: RunOptions) -> Given | None:
-    """What `--beside` asks for; None: no second run. Raises InputError."""
+    """The settings of `--beside`; None: no second run. Raises InputError."""
     if options.beside is None or options.beside.strip() == besides.NONE:
         return None
     return besides.read(options.beside)
@@ -79,12 +79,12 @@ class Beside:
             raise RunFailure(f"the run beside stopped, and the first went on: {failure}")
 
     def text(self) -> str:
-        """What a log's header says of it: what was given, with the topology that it has."""
+        """Its words in a log's header: the settings given, with the topology that it has."""
         run = {**self.twin.given.run, "topology": self.sim.topology}
         return str(replace(self.twin.given, run=run))
 
     def names(self) -> tuple[str, str]:
-        """What the two are called, by what they differ in."""
+        """Names of the two, by what they differ in."""
         from taichi_cloth.simulation import live
 
         first, own = self.twin.first, self.twin.own
@@ -110,7 +110,7 @@ class Beside:
         return str(self.twin.failure or "")
 
     def reading(self) -> DistanceReading:
-        """How far they are apart."""
+        """Their distance, in words."""
         watch = self.twin.watch
         now, rows = watch.now, watch.last(SHOWN)
         scale = watch.scale
@@ -124,7 +124,7 @@ class Beside:
         return DistanceReading(value, tuple(details), style.INK, age, parts[:, 0], parts[:, 1])
 
     def finding(self) -> Word | None:
-        """What differed first, in short."""
+        """The first difference, in short."""
         if self.stopped():
             return Word(f"right stopped in frame {self.sim.frame + 1}", style.BAD, 1)
         event = self.twin.watch.first
@@ -212,7 +212,7 @@ def begun(
 
 
 class BothRecordings(Recordings):
-    """What is noted of two runs, of each in files of its own. second: of the other one."""
+    """Recordings of two runs, each in files of its own. second: of the other one."""
 
     def __init__(self, first: Recordings, second: Recordings, beside: Simulation) -> None:
         super().__init__(first.trajectory, first.export)

@@ -39,7 +39,7 @@ USUAL = ("60fps", "30fps", "1%", "0.1%")  # what the panel offers
 
 
 class HeldBudget:
-    """What a run is kept to, nothing at first: for the command line, and for a window's panel.
+    """The budget of a run, none at first: for the command line, and for a window's panel.
 
     errors: of the same run, which are switched on: an error is held by them, and of the substeps
     for which there is time they say how many are of use, and which method is most accurate, once
@@ -75,13 +75,13 @@ class HeldBudget:
 
     @property
     def words(self) -> tuple[str, ...]:
-        """What may be chosen; what was asked for in other words is one of them."""
+        """The budgets that may be chosen; one asked for in other words is among them."""
         more = () if self.chosen in (OFF, *USUAL) else (self.chosen,)
         return (OFF, *USUAL, *more)
 
     @property
     def why(self) -> str:
-        """What it chose last, and why."""
+        """Its last choice, and the reason."""
         choice = self._keeper.choice if self._keeper else None
         if choice is None:
             return ""
@@ -104,7 +104,7 @@ class HeldBudget:
         return self._stable.least() < self._sim.substeps
 
     def status(self) -> Word | None:
-        """What the status says of it."""
+        """Its words in the status."""
         if self._keeper is None:
             return None
         choice = self._keeper.choice
@@ -210,7 +210,7 @@ class HeldBudget:
         self._substeps.append(self._sim.substeps)
 
     def summary(self) -> str:
-        """What it came to since it was chosen, in a line; "": nothing was held at the end."""
+        """Its outcome since it was chosen, in a line; "": nothing was held at the end."""
         if self._keeper is None or not self._frames:
             return ""
         goal, least, most = self._keeper.goal, min(self._substeps), max(self._substeps)

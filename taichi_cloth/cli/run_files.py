@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RunFiles:
-    """What a run writes beside pictures.
+    """The files of a run, beside pictures.
 
     recorder: of its log. ending: the file of the checkpoint that it ends with. beside: what is
     noted of a second run. report: that was asked for.
@@ -74,7 +74,7 @@ def begun(scene: Scene, options: RunOptions) -> Iterator[RunFiles]:
 
 
 def _recordings(scene: Scene, options: RunOptions, unfinished: contextlib.ExitStack) -> Recordings:
-    """What `--save` and `--export` ask for; it is discarded by `unfinished`."""
+    """Recordings for `--save` and `--export`; `unfinished` discards them."""
     trajectory = Trajectory(options.save, options.every) if options.save else None
     if trajectory:
         unfinished.callback(trajectory.discard)
@@ -85,7 +85,7 @@ def _recordings(scene: Scene, options: RunOptions, unfinished: contextlib.ExitSt
 
 
 def _export(scene: Scene, options: RunOptions) -> Export | None:
-    """What `--export` asks for."""
+    """The recording for `--export`."""
     if options.export is None:
         return None
     dt = options.dt if isinstance(options.dt, float) else scene.world.dt
@@ -175,7 +175,7 @@ def header(
 
 
 def _meta(source: SceneSource, began: Scene, sim: Simulation, device: Device) -> dict[str, Any]:
-    """What a saved trajectory says about its run; began: the scene as it was at the start."""
+    """Facts of a run for its trajectory; began: the scene as it was at the start."""
     import taichi
 
     return {

@@ -92,7 +92,7 @@ class MeasuredErrors:
 
     @property
     def verdicts(self) -> Sequence[Verdict]:
-        """What was measured since it was switched on."""
+        """Verdicts since it was switched on."""
         return self._meter.verdicts if self._meter else ()
 
     @property
@@ -136,7 +136,7 @@ class MeasuredErrors:
         print(f"frame {until}: {verdict.describe(self._in_metres)}", flush=True)
 
     def reading(self) -> ErrorReading:
-        """What there is to say now."""
+        """Its words now."""
         meter = self._meter
         if meter is None or meter.refused:
             return ErrorReading("not measured", (meter.refused,) if meter else ())

@@ -1,4 +1,4 @@
-"""What ``taichi-cloth run`` says: its first and its last line, and notes on standard error."""
+"""Words of ``taichi-cloth run``: its first and last line, and notes on standard error."""
 
 from __future__ import annotations
 
@@ -172,7 +172,7 @@ def last_line(sim: Simulation, way: str, summary: Summary, seconds: float, waite
 
 
 def _too_wide(scene: Scene) -> str:
-    """What to say of a particle that no place in the world has room for; "": there is none."""
+    """A note on a particle that no place in the world has room for; "": there is none."""
     side, radius = min(scene.world.size), scene.particles.radius
     wide = numpy.flatnonzero(2.0 * radius > side)
     if not len(wide):

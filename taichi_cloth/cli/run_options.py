@@ -163,7 +163,7 @@ def settings_of(parts: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def wanted_of(options: RunOptions, before: Settings) -> Settings:
-    """What a run that was resumed is to go on with. before: what its checkpoint had."""
+    """The settings with which a resumed run goes on. before: those of its checkpoint."""
     solver = {name: getattr(options, name) for name in SOLVER_SETTINGS}
     dt, substeps = before.dt, before.substeps
     if isinstance(options.dt, float):  # else the run goes on choosing them

@@ -107,7 +107,7 @@ def _explain(found: PostMortem) -> None:
 
 
 def _finding(found: PostMortem) -> Finding:
-    """What a window says of a post-mortem."""
+    """A window's words on a post-mortem."""
     from taichi_cloth.kernels import methods
     from taichi_cloth.post_mortem.causes import DAMPINGS
     from taichi_cloth.ui.chrome.why import Finding
@@ -145,7 +145,7 @@ def _finding(found: PostMortem) -> Finding:
 
 
 def _beside(options: RunOptions) -> PendingFile | None:
-    """Where a run that failed has the report that nobody asked for: beside what it writes."""
+    """The place of a failed run's report that nobody asked for: beside its files."""
     given = [Path(path) for name in WRITES if (path := getattr(options, name))]
     paths = [path for path in given if not is_device(path)]
     if not paths:

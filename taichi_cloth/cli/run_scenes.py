@@ -177,7 +177,7 @@ def file_of(source: SceneSource) -> str:
 
 
 def choices(first: SceneSource, name: str) -> dict[str, str]:
-    """What a window may go on with, in the order of a list: a line on each scene by its name.
+    """Scenes that a window may go on with, in the order of a list: a line on each, by name.
 
     first: of the scene that it began with, called `name`; it is among them if it is a file.
     """

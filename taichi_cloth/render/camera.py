@@ -26,7 +26,7 @@ FILLED = 0.92  # share of the picture that what is framed may fill
 
 
 class Camera:
-    """Where a 3-D world is looked at from.
+    """A camera that looks at a 3-D world.
 
     world_size: (w, h) or (w, h, d), world units.
     distance: from the eye to the centre, world units.
@@ -104,7 +104,7 @@ class Camera:
 
     @property
     def eye(self) -> np.ndarray:
-        """Where it is, shape (3,), world units."""
+        """Its place, shape (3,), world units."""
         place: np.ndarray = np.array([0.0, 0.0, -self.distance]) @ self.rotation() + self.centre
         return place
 
@@ -149,7 +149,7 @@ class Camera:
     def project(
         self, positions: ArrayLike, radius: ArrayLike = 0.0
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Where spheres appear: ``(pixels (n, 2), radii (n,), depths (n,))``.
+        """Project spheres: ``(pixels (n, 2), radii (n,), depths (n,))``.
 
         positions: (n, 3) world units; radius: one for all or (n,), world units.
         depths are distances along the viewing direction, in world units; a point with a depth
@@ -189,7 +189,7 @@ class Camera:
 
     @property
     def pose(self) -> tuple[float, ...]:
-        """Where it looks at, from how far, and which way: `POSE` numbers, which may be set."""
+        """The place looked at, the distance and the direction: `POSE` numbers, which may be set."""
         return (*map(float, self.centre), self.distance, self.rot_x, self.rot_y)
 
     @pose.setter

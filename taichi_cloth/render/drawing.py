@@ -1,4 +1,4 @@
-"""What the views share in drawing: what is seen, sizes, colours, and what is prepared once."""
+"""Sizes, colours and prepared parts that planes and space share in drawing."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def shown_particles(
 
 
 def line_width(height: int) -> float:
-    """How wide lines of a 2-D world are drawn, in pixels, in a room of this height."""
+    """The width of lines of a 2-D world, in pixels, in a room of this height."""
     return max(1.4, height / 480)
 
 
@@ -124,12 +124,12 @@ def disc_layers(
 
 
 def spring_width(height: int) -> float:
-    """How wide springs are drawn in 3-D, in pixels of a window of this height."""
+    """The width of springs in 3-D, in pixels of a window of this height."""
     return max(2.0, height / 260)
 
 
 def spring_width_on(picture: Picture, segments: np.ndarray, pixels: float, height: int) -> float:
-    """How wide a picture's springs are drawn in 3-D, in pixels: so that one sees what is between.
+    """The width of a picture's springs in 3-D, in pixels: so that one sees what is between.
 
     segments: (s, 2), those that are drawn. pixels: that a world unit has where one looks.
     """
@@ -141,5 +141,5 @@ def spring_width_on(picture: Picture, segments: np.ndarray, pixels: float, heigh
 
 
 def edge_width(height: int) -> float:
-    """How wide the world's edges are drawn, in pixels of a window of this height."""
+    """The width of the world's edges, in pixels of a window of this height."""
     return max(1.6, height / 500)

@@ -1,4 +1,4 @@
-"""What is drawn: one frame's contents as arrays, which know no scene."""
+"""Pictures: one frame's contents as arrays, which know no scene."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Solid:
 
 @dataclass(frozen=True)
 class Ghost:
-    """What is drawn pale, a little behind where it is, so that it is seen where it differs.
+    """A pale second cloth, a little behind its place, so that it is seen where it differs.
 
     position: (n, dim) of the picture's first n particles [world]. radius: (n,) [world].
     segments: (s, 2), triangles: (m, 3), as_spheres: (n,) bool, normals: (n, 3), as in a `Picture`.

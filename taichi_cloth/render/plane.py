@@ -50,7 +50,7 @@ class Plane:
         self._painter.draw(image, width, self._shapes(picture, window), again)
 
     def _shapes(self, picture: Picture, window: WindowMap) -> list[Shapes]:
-        """What is painted: solids, surfaces, springs, particles, and the pointer."""
+        """Shapes to paint: solids, surfaces, springs, particles, and the pointer."""
         found: list[Shapes] = []
         width = drawing.line_width(self._room.height)
         veil = [] if picture.ghost is None else _ghost(picture.ghost, window, width)
@@ -93,7 +93,7 @@ def pointer_shapes(drawn: Pointer | None) -> list[Shapes]:
 
 
 def _paper(room: Rect, box: tuple[int, ...], walls: np.ndarray) -> np.ndarray:
-    """What stands still: the world's paper, a darker one beside it, and walls; (h, w) int32.
+    """Paint what stands still: the world's paper, a darker one beside it, walls; (h, w) int32.
 
     box: x0, y0, x1, y1 of the world in the room.
     """

@@ -12,7 +12,7 @@ CORNERS = 56  # of the ring
 
 @dataclass(frozen=True)
 class Pointer:
-    """What is drawn of the pointer.
+    """The pointer, as it is drawn.
 
     place: (2,) window pixels. ring: radius of the ring, window pixels; None: there is none.
     cross: whether the place itself is marked.

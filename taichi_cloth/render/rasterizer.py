@@ -54,7 +54,7 @@ def tile_of(width: int) -> tuple[int, int]:
 
 @dataclass(frozen=True)
 class Group:
-    """How many things of a `Things` are in one layer.
+    """Numbers of a `Things` in one layer.
 
     width: of lines, pixels. lift: by this share of the way to the eye lines are seen before where
     they are.
@@ -69,7 +69,7 @@ class Group:
 
 @dataclass(frozen=True)
 class Things:
-    """What is drawn at a time; `kernels/render/frame.py` says what its arrays are.
+    """Things drawn at a time; `kernels/render/frame.py` says what the arrays are.
 
     place: (n, 3) float32 [world]. normal: (k, 3) float32, of the first k vertices, which surfaces
     have, and side: (k, 2) int32, the colours of both their sides. corner: (m, 3), ball: (b, 3),
@@ -90,7 +90,7 @@ class Things:
 
 @dataclass(frozen=True)
 class Lens:
-    """What an eye sees.
+    """An eye, its lens and its lights.
 
     eye: (3,) [world]. turn: (3, 3), to the camera's axes. focal: pixels per unit of slope.
     middle: the pixel (x, y) of the room that is looked at. nearest: the least depth [world] drawn.
@@ -120,7 +120,7 @@ class Lens:
 
 @dataclass(frozen=True)
 class Shade:
-    """How dark a floor is in places.
+    """The shade on a floor.
 
     low: (2,), the floor's coordinates of the first corner of a grid. cell: the side of its cells,
     world units. dark: (k, k) float32, along both axes, at the corners of cells: the part of the

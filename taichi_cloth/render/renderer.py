@@ -150,7 +150,7 @@ def _parts(w: int, h: int) -> int:
 
 
 def _rect(panel: Panel) -> tuple[int, ...]:
-    """Where a panel lies: columns from and to, rows from and to."""
+    """The rectangle of a panel: columns from and to, rows from and to."""
     tall, wide = panel.tile.packed.shape
     return panel.x, panel.x + wide, panel.y, panel.y + tall
 
@@ -178,7 +178,7 @@ def _around(rects: list[tuple[int, ...]]) -> tuple[int, ...]:
 
 
 def _reach(drawn: Pointer | None) -> tuple[int, ...]:
-    """Where a pointer is drawn."""
+    """The rectangle of a pointer."""
     if drawn is None or not len(ends := drawn.lines().reshape(-1, 2)):
         return NOWHERE
     low, high = np.clip([ends.min(axis=0) - 4, ends.max(axis=0) + 5], -1e8, 1e8).astype(int)

@@ -1,4 +1,4 @@
-"""How dark a floor is below what hangs above it, under a sky that is as bright everywhere.
+"""The shade on a floor below what hangs above it, under a sky of even brightness.
 
 Of the sky's light a point of a level floor lacks what is above it: of a piece whose projection on
 the floor has the area A, at height h and at the distance r aside, the part
@@ -58,7 +58,7 @@ class Shadows:
 
 
 def gathered(things: Things, share: float, where: tuple[float, ...]) -> np.ndarray:
-    """What is above each corner of a grid's cells, by layers of height: (layers, k, k) int32.
+    """Gather what is above each corner of a grid's cells, by layers: (layers, k, k) int32.
 
     It is counted in parts of a cell, of which a cell has `ONE`. share: of the projections that
     counts. where: x and z where the grid begins, the floor's height, a cell's side [world], and 1

@@ -79,7 +79,7 @@ class Space:
         )  # fmt: skip
 
     def _look(self, picture: Picture, camera: Camera, window: WindowMap) -> Lens:
-        """What the eye sees."""
+        """The lens of a camera in a window."""
         x, y = window.to_window(camera.middle) - [self._room.x, self._room.y]
         return Lens(
             camera.eye,
@@ -204,7 +204,7 @@ def joined(firm: list[Things], veil: list[Things]) -> Things:
 
 
 def _counted(things: list[Things]) -> Group:
-    """How many of each kind there are."""
+    """Count each kind."""
     if not things:
         return Group()
     groups = [one.firm for one in things]

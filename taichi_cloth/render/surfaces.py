@@ -67,7 +67,7 @@ class Topology:
 
 
 def brightness(normal: np.ndarray) -> np.ndarray:
-    """How bright a surface of the unit normals (..., 3) is under all lights, (...,) from 0 on."""
+    """The brightness of surfaces of unit normals (..., 3) under all lights, (...,) from 0 on."""
     lit: np.ndarray = np.full(normal.shape[:-1], style.AMBIENT, normal.dtype)
     for light, strength in style.LIGHTS:
         lit += strength * np.maximum(normal @ light.astype(normal.dtype), 0)

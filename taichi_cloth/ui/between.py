@@ -53,7 +53,7 @@ class Between:
         return sim.time if left is None else left.time + part * (sim.time - left.time)
 
     def positions(self, sim: Simulation, part: float) -> np.ndarray:
-        """Where particles are then, (n, dim); the next call may overwrite them."""
+        """Places of particles then, (n, dim); the next call may overwrite them."""
         now, left = sim.drawn_positions(), self._before(sim)
         return now if left is None else _mixed(left.position, now, part)
 

@@ -1,4 +1,4 @@
-"""How the user moves the camera of a 3-D scene: turn, pan, zoom, frame what there is, go back."""
+"""Moves of the camera of a 3-D scene: turn, pan, zoom, frame what there is, go back."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ class CameraMoves:
 
 
 def gathered(sim: Simulation) -> tuple[np.ndarray, float]:
-    """Where particles are, (n, dim), and the largest radius, world units.
+    """Places of particles, (n, dim), and the largest radius, world units.
 
     A few that flew off, such as pieces of a torn net, are left out.
     """

@@ -1,4 +1,4 @@
-"""What the mouse and the keys do: the tool in hand, the camera, and the program's own keys."""
+"""Mouse and keys: the tool in hand, the camera, and the program's own keys."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Controls:
 
     @property
     def notice(self) -> str | None:
-        """What to tell the user about what was done last."""
+        """A note for the user on what was done last."""
         return self._hand.notice
 
     @property
@@ -86,7 +86,7 @@ class Controls:
 
     @property
     def pointer(self) -> np.ndarray | None:
-        """Where the pointer is, (2,) pixels of the window that events refer to; None: unknown."""
+        """The pointer's place, (2,) pixels of the window that events refer to; None: unknown."""
         return self._hand.pointer
 
     @property
@@ -96,7 +96,7 @@ class Controls:
 
     @property
     def hints(self) -> tuple[str, ...]:
-        """What clicks do with the scene's own tool, until the first one: lines of the key list."""
+        """Lines of the key list on clicks with the scene's own tool, until the first one."""
         tool = self.tool
         if self._clicked or tool is None or tool is not self._first or not tool.buttons:
             return ()
@@ -108,7 +108,7 @@ class Controls:
         return self._waiting is not None
 
     def ring(self) -> float | None:
-        """How far the tool in hand reaches, world units; None: it has no ring."""
+        """The reach of the tool in hand, world units; None: it has no ring."""
         if self.tool is None or self.tool.ring is None or not self._hand.over:
             return None
         return self.tool.ring(self._hand)
@@ -333,7 +333,7 @@ class Controls:
         self._hand.other = sim
 
     def marks(self, sim: Simulation | None = None) -> Marks | None:
-        """What the tool in hand draws beside the scene; sim: of another run of it."""
+        """Marks of the tool in hand, drawn beside the scene; sim: of another run of it."""
         if self.tool is None or self.tool.draw is None:
             return None
         hand = self._hand if sim is None else replace(self._hand, sim=sim)

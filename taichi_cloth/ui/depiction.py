@@ -125,7 +125,7 @@ class Depiction:
         return shown.turned_away(camera.eye, position, triangles, up)
 
     def legends(self) -> list[Meanings]:
-        """What the colours mean, where they mean anything."""
+        """Legends of the colours, where they mean anything."""
         found = [self.strained.legend()] if self.strain else []
         reading = self._errors.ghost() if self._errors else None
         if reading is not None:

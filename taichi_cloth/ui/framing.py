@@ -1,4 +1,4 @@
-"""Where a scene is looked at from when it opens."""
+"""The view of a scene when it opens."""
 
 from __future__ import annotations
 

@@ -94,7 +94,7 @@ class Pair:
         return Half(picture, room)
 
     def panels(self, cut: Halves, height: int) -> tuple[Panel, ...]:
-        """What they are called, and a line between them; height: of the text, pixels."""
+        """Their names, and a line between them; height: of the text, pixels."""
         words = []
         for name, cost in zip(self.second.names(), self._said, strict=True):
             words.append(

@@ -1,4 +1,4 @@
-"""What the status and the key list say, and the meter of their rates."""
+"""Words of the status and of the key list, and the meter of their rates."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ class Meter:
 
 
 def rates(meter: Meter, advice: Word | None = None) -> tuple[Word, ...]:
-    """How fast a window runs, and what a frame takes. advice: what would be `faster`."""
+    """The rates of a window and the time of a frame. advice: what would be `faster`."""
     rate = meter.frames_per_second
     if rate == 0:
         return ()
@@ -253,7 +253,7 @@ def reset_notice(frames: int) -> str:
 
 
 def _drags(tool: Tool[Any] | None, *, space: bool) -> list[str]:
-    """What moves the camera, or the picture: the buttons that the tool in hand leaves for that."""
+    """Buttons that move the camera or the picture: those that the tool in hand leaves."""
     taken, hits = (tool.buttons, tool.hits) if tool else ((), None)
 
     def line(buttons: Iterable[str], does: str, *others: str) -> list[str]:

@@ -142,7 +142,7 @@ class Event:
     pose: tuple[float, ...] | None = None
 
     def fields(self) -> dict[str, Any]:
-        """What a log's line says of it."""
+        """Its fields in a log's line."""
         said: dict[str, Any] = {}
         if self.pos is not None:
             said["pos"] = [float(self.pos[0]), float(self.pos[1])]

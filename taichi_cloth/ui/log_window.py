@@ -57,7 +57,7 @@ class LogWindow:
 
     @property
     def apart(self) -> int:
-        """How far the second world is beside the first, window pixels."""
+        """The distance of the second world from the first, window pixels."""
         left = self._view.room or Rect(0, 0, *self._view.size)
         return self.right.x - left.x if self.right else 0
 

@@ -233,7 +233,7 @@ class Loop:
             self._travel.note(state.frames)
 
     def _together(self) -> int:
-        """How many frames to advance at once: one where anything may look at each."""
+        """The number of frames to advance at once: one where anything may look at each."""
         state, request = self.state, self._request
         looked_at = self.view.visible or self._takes.filming or self._shown.chrome.is_open("meters")
         held = request.budget is not None and request.budget.chosen != OFF
@@ -532,7 +532,7 @@ class Loop:
         return self.view.grab()
 
     def summary(self) -> Summary:
-        """What the run did so far."""
+        """A summary of the run so far."""
         seconds = time.perf_counter() - self._started if self._started is not None else 0.0
         parts = self._simulate, self._draw, self._schedule.waited_in_all
         return Summary(self.state.frames, seconds, *parts, self.state.quit, self.state.refused)

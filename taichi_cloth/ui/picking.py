@@ -1,4 +1,4 @@
-"""What is under the pointer: the particle that one means, and the springs that a path crosses."""
+"""Picking: the particle under the pointer that one means, and springs that a path crosses."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NEAR_IN_PLANE = 40.0
 def seen(
     points: np.ndarray, camera: Camera | None, window: WindowMap
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where points (n, dim) are in the window, (n, 2) pixels, and how deep, (n,); 0 in a plane.
+    """Project points (n, dim): window pixels (n, 2), and depths (n,), 0 in a plane.
 
     A depth of 0 or less is behind the eye: its pixel is NaN.
     """
@@ -35,7 +35,7 @@ def seen(
 
 
 class Front:
-    """What is in front in a 3-D scene, as a camera sees it: surfaces, spheres, obstacles, a floor.
+    """The front of a 3-D scene, as a camera sees it: surfaces, spheres, obstacles, a floor.
 
     places: (n, 2) pixels and depth: (n,) of the particles (`seen`); radius: (n,), in pixels.
     """

@@ -1,4 +1,4 @@
-"""How the user looks at a 2-D world: pan, zoom, all of it again, and back to the look before.
+"""Looks at a 2-D world: pan, zoom, all of it again, and back to the look before.
 
 Where nothing is in the world any more, all of it is what there is.
 

@@ -1,4 +1,4 @@
-"""What a run shows: the world as its view shows it, and around it what is written of the run."""
+"""The contents of a window: the world, and around it what is written of the run."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ class Presentation:
         self._show_help = False
 
     def title(self) -> str:
-        """What a window's title says: the scene, and what it is doing."""
+        """A window's title: the scene, and what it is doing."""
         word = self._state.word(self._takes.shutter.state).text.partition(":")[0]
         return f"{printable(self._sim.scene.name)}, {word} - {PROGRAM}"
 
@@ -120,7 +120,7 @@ class Presentation:
         self._status.hurry()
 
     def take(self, event: Event) -> Event | None:
-        """What an event means that may be for what is around the world; None: nothing more."""
+        """Take an event that may be for what is around the world; None: nothing more."""
         if event.kind == "leave" or event.pos is not None:
             over = event.pos is not None and self.arranged().world.holds(event.pos)
             self._controls.hover(over or bool(self._controls.pressed))
@@ -181,7 +181,7 @@ class Presentation:
         return hud.help_lines(scene, wheel, tool, saves=saves, tied=tied, file=file)
 
     def _key_list(self, layout: Layout) -> Rect:
-        """Where the key list is."""
+        """The place of the key list."""
         panel = key_list(self._keys(), layout)
         tall, wide = panel.tile.pixels.shape[:2]
         return Rect(panel.x, panel.y, wide, tall)
@@ -213,7 +213,10 @@ class Presentation:
         return state.pace.slowness > 1 and not state.stopped and not self._takes.filming
 
     def picture(self, *, now: bool = False, pointed: bool = True) -> Picture:
-        """What is drawn. now: the present frame, also in slow motion. pointed: with the pointer."""
+        """The picture to draw.
+
+        now: the present frame, also in slow motion. pointed: with the pointer.
+        """
         part = self._state.pace.part if self.glides and not now else 1.0
         picture = self.depiction.picture(self._controls.marks(), part)
         layout = self.arranged()
@@ -253,7 +256,7 @@ class Presentation:
             self.pair.forget()
 
     def arranged(self) -> Layout:
-        """Where everything is in the view as it is now; the view draws the world in its room."""
+        """Arrange everything in the view as it is now; the view draws the world in its room."""
         # A picture that a key takes shows the world in all of the window, whatever is open.
         alone = self._takes.shutter.due and not self._takes.filming
         size = self._view.size
@@ -265,7 +268,7 @@ class Presentation:
         return layout
 
     def _contents(self) -> Contents:
-        """What is written around the world."""
+        """The text around the world."""
         sim, state, tool = self._sim, self._state, self._controls.tool
         windowed, shutter = self._view.visible, self._takes.shutter
         banner: str | None = None
@@ -306,7 +309,7 @@ class Presentation:
         return Contents(rows, self._buttons, keys, banner, self.depiction.legends(), hints)
 
     def _faster(self) -> Word | None:
-        """What would make late frames shorter; a script has no flags, and no budget."""
+        """Advice that would make late frames shorter; a script has no flags, and no budget."""
         budget = self._budget
         return hud.faster(self.meter, shortens=lambda: budget is not None and budget.shortens)
 
@@ -330,7 +333,7 @@ class Presentation:
 
     @property
     def _points(self) -> np.ndarray | None:
-        """Where the pointer is, (2,), in the log's window; None: in a picture, which has none."""
+        """The pointer's place, (2,), in the log's window; None: in a picture, which has none."""
         return None if self._takes.shutter.due else self._controls.pointer
 
     def _pointer(self) -> Pointer | None:

@@ -1,4 +1,4 @@
-"""What is asked of a run in a view, beside its simulation."""
+"""The request for a run in a view, beside its simulation."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Request:
-    """What is asked of a run.
+    """A request for a run.
 
     frames: after how many it ends; None: only where the user or `on_frame` ends it.
     replay: a log; its events of frame f (0-based, counted over resets) are applied

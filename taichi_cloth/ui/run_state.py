@@ -1,4 +1,4 @@
-"""Where a run in a view is: what it does or waits for, and the word that a window has for that."""
+"""The state of a run in a view: what it does or waits for, and a window's word for that."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from taichi_cloth.ui.timeline import Pace
 
 @dataclass
 class RunState:
-    """Where a run is.
+    """The state of a run.
 
     paused: whether frames wait for the user. log_end: the last frame for which the log that is
     replayed has an event; -1: there is none. frames: advanced so far, counted over resets.
@@ -56,7 +56,7 @@ class RunState:
         return due and self.failure is None
 
     def word(self, recording: str | None) -> Word:
-        """What a window is doing; recording: what it says while a film is being made."""
+        """A window's word for it; recording: its words while a film is being made."""
         if self.opening:
             return Word(f"opening {self.opening}: compiling takes a moment, once", style.WARN)
         if self.exporting:

@@ -22,7 +22,7 @@ def _stays() -> None:
 
 @dataclass
 class Scenes:
-    """What a window offers beside its scene, and what stays from one scene to the next.
+    """Scenes that a window offers, and what stays from one to the next.
 
     about: by name, in the order of a list, a line on what each of them shows.
     open: makes the scene of a name ready, so that the next run can show it in the same window;

@@ -108,7 +108,7 @@ def picture(
 
 
 def shown(sim: Simulation, frames: int | None, **how: Any) -> Any:
-    """What `Simulation.show` returns: see there."""
+    """The value of `Simulation.show`: see there."""
     if not in_notebook():
         return show(sim, frames=frames, **how)
     from IPython.display import Image

@@ -1,4 +1,4 @@
-"""What is drawn of cloths: their surface, their springs, their particles, or several of these.
+"""Parts of cloths that are drawn: surface, springs, particles, or several of these.
 
 What lies in no surface (balls, chains, torn threads) is drawn as ever beside surfaces.
 """
@@ -22,12 +22,12 @@ LEVEL = 0.8  # share of a surface that looks up, or down, where it lies level
 
 
 def default_for(scene: Scene) -> frozenset[str]:
-    """What is drawn of a scene's cloths from the start."""
+    """Parts of a scene's cloths that are drawn from the start."""
     return CHOICES[0 if scene.world.dim == 3 and len(scene.triangles) else 2]
 
 
 def next_choice(parts: frozenset[str]) -> frozenset[str]:
-    """What the key takes after `parts`."""
+    """The choice after `parts`, by the key."""
     return CHOICES[(CHOICES.index(parts) + 1) % len(CHOICES)] if parts in CHOICES else CHOICES[0]
 
 

@@ -1,4 +1,4 @@
-"""What keys save while a window runs, pictures above all: into new files, never over old ones."""
+"""Files that keys save while a window runs, pictures above all: never over old ones."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SAID_FOR = 5.0  # seconds for which the window says where something was saved
 
 
 class Shutter:
-    """What takes pictures in a window: one at a time, and films that a key begins and ends.
+    """Takes pictures in a window, one at a time, and films that a key begins and ends.
 
     They show the world's room alone: what is around it says that a film is being made.
 
@@ -100,14 +100,14 @@ class Shutter:
 
     @property
     def state(self) -> str | None:
-        """What the window says while a film is being made; None: none is."""
+        """The window's words while a film is being made; None: none is."""
         if self._film is None:
             return None
         return f"recording {self._frames / films.FILM_RATE:.0f} s"
 
     @property
     def notice(self) -> str | None:
-        """What it saved lately, or why it could not; None: nothing."""
+        """Its last file, or why there is none; None: nothing to say."""
         return self._said if time.monotonic() < self._said_until else None
 
     def _tell(self, on_screen: str, in_terminal: str | None = None) -> None:

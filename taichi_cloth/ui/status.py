@@ -18,7 +18,7 @@ NOTICE_SECONDS = 4.0  # how long a word about the last click stays, or about thr
 
 @dataclass
 class Status:
-    """What the status says.
+    """The words of the status.
 
     sim: of which. device: from `Device.describe()`. meter: of a window's rates.
     """
@@ -41,7 +41,7 @@ class Status:
         self._rates_due = 0.0
 
     def told(self, seconds: float) -> str | None:
-        """What was told last, if that is no longer ago than so many seconds."""
+        """The last note, if it is no older than so many seconds."""
         return self._last[0] if self._now < self._noticed + seconds else None
 
     def rows(

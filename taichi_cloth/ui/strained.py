@@ -58,7 +58,7 @@ class Strained:
         return self._allowed(start.particles.position, start.springs)
 
     def legend(self) -> tuple[tuple[str, Color], ...]:
-        """What the colours mean, as words in them."""
+        """The legend of the colours, as words in them."""
         breaks = np.isfinite(self._sim.storage.scene.springs.break_force)
         limits = ("break force",) * bool(breaks.any())
         if not breaks.all() or not len(breaks):
@@ -98,7 +98,7 @@ class _Ends:
         self._count = count
 
     def most(self, borne: np.ndarray) -> np.ndarray:
-        """What the spring bears that bears most, pulled or pushed, at each particle, (count,)."""
+        """The largest load of a spring at each particle, pulled or pushed, (count,)."""
         out = np.zeros(self._count)
         if len(self._particle):
             of_springs = borne[self._spring]

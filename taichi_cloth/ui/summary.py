@@ -1,4 +1,4 @@
-"""What a run did, for whoever started it."""
+"""The outcome of a run, for whoever started it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Refused:
 
 @dataclass(frozen=True)
 class Summary:
-    """What a run did.
+    """The outcome of a run.
 
     frames: advanced in this run. seconds: it took, from the first to the last. simulate: the part
     of these spent simulating, without the first frame, which compiles. draw: the part spent

@@ -1,4 +1,4 @@
-"""Where the program runs, as far as windows, pointers and keys go, and what works there instead.
+"""The place where the program runs, as far as windows go, and what works there instead.
 
 `doctor` shows it line by line; a run that finds no display says the part that helps.
 """
@@ -91,7 +91,7 @@ def places(env: Mapping[str, str] | None = None) -> list[Place]:
 
 
 def instead(env: Mapping[str, str] | None = None) -> str:
-    """What to do here where a window was wanted and there is no display, in a line."""
+    """Advice where a window was wanted and there is no display, in a line."""
     return next((place.instead for place in places(env)), KEPT)
 
 
@@ -105,7 +105,7 @@ def is_forwarded(env: Mapping[str, str] | None = None) -> bool:
 
 @dataclass(frozen=True)
 class Equipment:
-    """What an X server says of screen, keyboard and mouse.
+    """Screen, keyboard and mouse, as an X server describes them.
 
     size: of the screen, (width, height) pixels. scale: how much larger text its user wants, by
     the resource Xft.dpi; 1 where that is not set. has_f1: whether a key F1 is there.
@@ -124,7 +124,7 @@ class Equipment:
 
 
 def equipment() -> Equipment | None:
-    """What the X server of DISPLAY says; None where there is none."""
+    """Ask the X server of DISPLAY; None where there is none."""
     x = x11.xlib()
     if x is None or not runtime.display_available():
         return None
@@ -144,7 +144,7 @@ def equipment() -> Equipment | None:
 
 
 def _scale(resources: str) -> float:
-    """What X's resources say of how large text is to be."""
+    """The size of text, by X's resources."""
     found = re.search(r"^Xft\.dpi:\s*([\d.]+)", resources, re.M)
     return float(found[1]) / INCHES if found else 1.0
 
@@ -159,7 +159,7 @@ class Report:
 
 
 def reports() -> Iterator[Report]:
-    """What `doctor` says of the place, the screen, the mouse and the keyboard."""
+    """Lines of `doctor` on the place, the screen, the mouse and the keyboard."""
     there = places()
     display = runtime.display_available()
     names = ", ".join(place.name for place in there) or "this machine's own terminal or desktop"

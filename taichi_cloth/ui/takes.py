@@ -1,4 +1,4 @@
-"""What a run's pictures go into: a film of all of it, and what keys begin and take."""
+"""Films and pictures of a run: one film of all of it, and those that keys take."""
 
 from __future__ import annotations
 

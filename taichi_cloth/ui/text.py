@@ -64,7 +64,7 @@ def _has(letter: str) -> bool:
 
 @lru_cache(maxsize=2048)
 def _ink(word: str, height: int) -> np.ndarray:
-    """How much of each pixel a word covers, (h, w, 1) float32 from 0 to 1; it starts at column 1.
+    """The share of each pixel that a word covers, (h, w, 1) float32; it starts at column 1.
 
     A status changes in a word or two from frame to frame: the others are here.
     """
@@ -191,7 +191,7 @@ def _columns(lines: Iterable[str]) -> list[list[str]]:
 
 
 def _second_column(parts: list[list[str]], height: int) -> int:
-    """Where what stands after tabs begins, pixels from the margin."""
+    """The start of what stands after tabs, pixels from the margin."""
     first = max((length(part[0], height) for part in parts if len(part) == 2), default=0.0)
     return round(first + 1.2 * height) if first else 0
 

@@ -31,10 +31,10 @@ MOST_BYTES = 256 << 20  # of checkpoints; beyond that only some frames have one
 
 
 class Remembers(Protocol):
-    """What a window remembers of what was done, beside the simulation: `Controls`."""
+    """A window's memory of what was done, beside the simulation: `Controls`."""
 
     def memory(self) -> Any:
-        """What later events depend on, as it is now."""
+        """The state that later events depend on, as it is now."""
 
     def recall(self, memory: Any) -> None:
         """Go back to such a memory."""
@@ -167,7 +167,7 @@ class Timeline:
 
     @property
     def bytes(self) -> int:
-        """How much memory the checkpoints take; what two share counts once."""
+        """The memory of the checkpoints; what two share counts once."""
         return self._bytes
 
     # --- back ------------------------------------------------------------------------------
@@ -223,7 +223,7 @@ class Timeline:
         return self.at is not None and self._marks() != self._untouched
 
     def _marks(self) -> tuple[Any, ...]:
-        """What tells whether something was done to the state from outside."""
+        """Marks by which one sees that something was done to the state from outside."""
         storage = self._sim.storage
         return id(storage), storage.loads, storage.altered
 
@@ -292,7 +292,7 @@ SPEEDS = (1, 2, 4, 8, 16)  # times as long as a frame is shown
 
 
 class Pace:
-    """How slowly frames are shown: each for `slowness` times as long; no step is changed.
+    """The pace of frames: each is shown for `slowness` times as long; no step is changed.
 
     A picture between two frames may be drawn: `part` says how far on it is.
     """
@@ -303,7 +303,7 @@ class Pace:
 
     @property
     def words(self) -> str:
-        """What a window says of it; "" at full speed."""
+        """A window's words on it; "" at full speed."""
         return "" if self.slowness == 1 else f"1/{self.slowness} speed"
 
     def slower(self) -> None:
@@ -332,7 +332,7 @@ class Pace:
 
     @property
     def part(self) -> float:
-        """How far the picture of this turn is from the last frame to the next, from 0 to below 1.
+        """The place of this turn's picture between two frames, from 0 to below 1.
 
         A window in slow motion shows the frame before the last one, and this part of the way on to
         the last one (`between.py`): what comes next is not known.

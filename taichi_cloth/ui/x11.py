@@ -362,7 +362,7 @@ class Connection:
             _KEPT_HANDLERS.append(converter)
 
     def inputs(self) -> list[Input]:
-        """What the user did since the last call, oldest first.
+        """The user's inputs since the last call, oldest first.
 
         The window itself finds all of it, too. An interrupt that came meanwhile is raised here.
         """

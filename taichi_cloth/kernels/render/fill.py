@@ -33,7 +33,7 @@ CHANNEL = 21  # bits that a channel takes then
 
 @ti.func
 def globe_depth(s, u, v, number: ti.template(), globe: ti.template()):
-    """How deep a ball is at a place of the picture; 0 where it is not."""
+    """The depth of a ball at a place of the picture; 0 where it is not."""
     x, y, z, radius = globe[4 * s], globe[4 * s + 1], globe[4 * s + 2], globe[4 * s + 3]
     way_x = (u - number[LENS + 1]) / number[LENS]
     way_y = (v - number[LENS + 2]) / number[LENS]

@@ -1,4 +1,4 @@
-"""What lies behind everything: a floor of tiles, and the shade on it."""
+"""A floor of tiles behind everything, and the shade on it."""
 
 import taichi as ti
 
@@ -23,7 +23,7 @@ ROWS = 8  # iterations for one row of a floor: else a thread had 512 rows of the
 
 @ti.func
 def _between(dark: ti.template(), u, v):
-    """What is given at the corners of a grid's cells, (k, k), at a place between; 0 beyond it."""
+    """Interpolate numbers at the corners of a grid's cells, (k, k); 0 beyond it."""
     found, most = 0.0, dark.shape[0] - 1.0
     if u >= 0.0 and v >= 0.0 and u < most and v < most:
         i, j = ti.cast(u, ti.i32), ti.cast(v, ti.i32)

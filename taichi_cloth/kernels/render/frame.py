@@ -1,4 +1,4 @@
-"""What kernels of drawing share: how their arrays are laid out, and colours.
+"""The layout of the arrays that kernels of drawing share, and colours.
 
 Units: places in pixels of the picture's room, x right, y down, from its upper left corner. Depth is
 kept as one over it. Colours are 0xRRGGBB, in `vertex` of ten bits each.

@@ -1,4 +1,4 @@
-"""Where things are seen, and how they are lit: before anything is drawn."""
+"""Vertices projected and lit, before anything is drawn."""
 
 import taichi as ti
 
@@ -35,7 +35,7 @@ from taichi_cloth.kernels.render.frame import (
 
 @ti.func
 def light(number: ti.template(), normal):
-    """How bright a surface of a unit normal is under all lights, by Lambert's law."""
+    """The brightness of a surface of a unit normal under all lights, by Lambert's law."""
     bright = number[LIGHTS + 8]
     for k in ti.static(range(2)):
         along = normal.dot(three(number, LIGHTS + 4 * k))
@@ -45,7 +45,7 @@ def light(number: ti.template(), normal):
 
 @ti.func
 def _sheen(number: ti.template(), normal, place):
-    """What fabric adds where it is seen along its surface: its fibres stand out against light."""
+    """The sheen of fabric seen along its surface: its fibres stand out against light."""
     across = 1.0 - ti.abs(normal.dot(place)) / ti.max(place.norm(), 1e-20)
     return number[LIGHTS + 9] * across * across * across
 
@@ -98,7 +98,7 @@ def _fill_globe(
 
 @ti.func
 def globe_reach(s, number: ti.template(), globe: ti.template()):
-    """How many pixels around its middle a ball reaches, at most."""
+    """The most pixels that a ball reaches around its middle."""
     x, y, z, radius = globe[4 * s], globe[4 * s + 1], globe[4 * s + 2], globe[4 * s + 3]
     near = ti.max(z - radius, number[LENS + 3])
     return number[LENS] * radius / near * (1.0 + (x * x + y * y) / (z * z)) + 1.0

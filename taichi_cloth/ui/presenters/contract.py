@@ -1,4 +1,4 @@
-"""What a presenter declares, and what every presenter can do."""
+"""The declaration of a presenter, and the methods of all of them."""
 
 from __future__ import annotations
 
