@@ -37,7 +37,7 @@ LARGER = 2.0  # at least so many times as large as all others
 
 
 def most_cells(particles, thick=False):
-    """How many cells the grid of so many particles has at most; thick: with a thickness."""
+    """The most cells of a grid of so many particles; thick: with a thickness."""
     cells = CELLS_OF_CLOTH if thick else CELLS_PER_PARTICLE
     return 2 ** round(math.log2(cells * max(particles, 1)))
 
@@ -96,7 +96,7 @@ def _radius(spec: ti.template(), state: ti.template(), slot):
 
 @ti.func
 def cell_count(spec: ti.template(), state: ti.template()):
-    """How many cells the grid has; the cell with this index is that of large particles."""
+    """The number of cells; the cell with this index is that of large particles."""
     bits = 0
     for axis in ti.static(range(spec.dim)):
         bits += state.grid_bits[axis]

@@ -93,7 +93,7 @@ def forget_low(spec: ti.template(), low: ti.template(), slot, axis):
 
 @ti.func
 def owed_at(spec: ti.template(), state: ti.template(), slot):
-    """What is to be added to position and velocity at a slot: x_low, v_low; 0 where nothing is."""
+    """The low parts of position and velocity at a slot: x_low, v_low; 0 where there are none."""
     x_low = 0.0 * slot_value(spec, state.x, slot)
     v_low = x_low
     if ti.static(spec.compensated):

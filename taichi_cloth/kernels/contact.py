@@ -103,7 +103,7 @@ def compute_contacts(spec: ti.template(), state: ti.template(), t):
 
 @ti.func
 def wall_gap(state: ti.template(), x, radius, axis: ti.template(), side: ti.template()):
-    """How far the surfaces of particles at x are short of a wall [length]; negative: past it.
+    """The gaps from particles at x to a wall [length]; negative: past it.
 
     axis, side: the wall, of which side is 1 at state.high and -1 at state.low. All that ask use
     this one formula, because rounding decides where a particle rests on the floor.
@@ -114,7 +114,7 @@ def wall_gap(state: ti.template(), x, radius, axis: ti.template(), side: ti.temp
 
 @ti.func
 def place_on_wall(state: ti.template(), radius, axis: ti.template(), side: ti.template()):
-    """Where along its axis a wall holds a particle; one wider than the world is in its middle."""
+    """The place along its axis where a wall holds a particle; one too wide is in the middle."""
     low, high = state.low[axis], state.high[axis]
     bound = high if ti.static(side > 0) else low
     return bound - float(side) * ti.min(radius, 0.5 * (high - low))
@@ -122,7 +122,7 @@ def place_on_wall(state: ti.template(), radius, axis: ti.template(), side: ti.te
 
 @ti.func
 def _outside_inner_box(state: ti.template(), x, axis: ti.template(), side: ti.template()):
-    """How far positions x are past the face of the inner box that is before a wall [length]."""
+    """The distances of positions x past the face of the inner box before a wall [length]."""
     if ti.static(side > 0):
         return component(x, axis) - state.inner_high[axis]
     else:

@@ -87,7 +87,7 @@ def close_step(spec: ti.template(), state: ti.template(), t):
 
 @ti.func
 def _jump(spec: ti.template(), state: ti.template(), i):
-    """What walls and pairs have changed of pack i's velocities at the step's start."""
+    """The changes by walls and pairs of pack i's velocities at the step's start."""
     if ti.static(has_impulses(spec)):
         x, v = read(spec, state.opened_x, i), read(spec, state.opened_v, i)
         return velocity_jump(spec, state, i, x, v)

@@ -1,4 +1,4 @@
-"""What need not be looked at: faces that have not moved far enough to meet an obstacle.
+"""Faces to pass over: those that have not moved far enough to meet an obstacle.
 
 Most of a cloth is far from what is sharp. Where a face is looked at (`faces.py`), a lower bound of
 what it may move from the step's end before it can touch anything is kept as its clearance,

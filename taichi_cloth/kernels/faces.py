@@ -154,7 +154,7 @@ def _sweep(spec: ti.template(), state: ti.template(), t):
 
 @ti.func
 def _if_sweeping(spec: ti.template(), state: ti.template(), count):
-    """How many of a loop's turns are taken: none in a launch after the last of its sweeps."""
+    """The turns that a loop takes: none in a launch after the last of its sweeps."""
     if ti.static(spec.one_launch_per_step):
         return ti.select(state.phase[None] == SWEEP, count, 0)
     else:
@@ -329,7 +329,7 @@ def _is_near(spec: ti.template(), state: ti.template(), o, m):
 
 @ti.func
 def _ends(spec: ti.template(), state: ti.template(), o, slot):
-    """Where the step of the particle at a slot begins and ends, in the frame of obstacle o."""
+    """The begin and end of a particle's step, in the frame of obstacle o."""
     began = slot_value(spec, state.begun_x, slot) - centre_of(spec, state, o, START)
     ends = slot_value(spec, state.x, slot) - centre_of(spec, state, o, END)
     if ti.static(spec.compensated):
@@ -443,7 +443,7 @@ def _pushed(spec: ti.template(), state: ti.template(), slot):
 
 @ti.func
 def _jump(spec: ti.template(), state: ti.template(), slot):
-    """What walls and pairs changed of a corner's velocity in the step, (dim,)."""
+    """The change by walls and pairs of a corner's velocity in the step, (dim,)."""
     jump = slot_value(spec, state.face_jump, slot)
     if state.face_finds[None] == 1:
         jump = jump_of(spec, state, slot)

@@ -7,14 +7,14 @@ SINGLE, ROWS, COLUMNS, VECTORS = range(4)
 
 
 def kind_of(field):
-    """How a field is indexed."""
+    """The index of a field."""
     if isinstance(field, ti.MatrixField):
         return VECTORS
     return (SINGLE, ROWS, COLUMNS)[len(field.shape)]
 
 
 def width_of(field):
-    """How many numbers a row of a field has."""
+    """The numbers in a row of a field."""
     if kind_of(field) == VECTORS:
         return field.n
     return field.shape[1] if kind_of(field) == COLUMNS else 1

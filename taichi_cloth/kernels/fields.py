@@ -1,4 +1,4 @@
-"""What a state is made of: fields in their trees, how much fits into them, and triangles."""
+"""Parts of a state: fields in their trees, how much fits into them, and triangles."""
 
 from dataclasses import astuple, dataclass
 
@@ -25,7 +25,7 @@ def placed(tree, field, *shape):
 
 @dataclass(frozen=True)
 class Capacity:
-    """How much fits into a `State`.
+    """The room in a `State`.
 
     particles; springs: those on the graph; columns: of packed rows, and copies:
     those of them that need any (`graph.py`); packs, the empty

@@ -75,7 +75,7 @@ def sum_of_half_springs(
 def half_spring(
     spec: ti.template(), state: ti.template(), value: ti.template(), between: ti.template(), h, i
 ):
-    """What half-spring h gives its particle i."""
+    """The force of half-spring h on its particle i."""
     if ti.static(takes_stiffness(between)):
         axis = ti.Vector([state.csr_axis[h, k] for k in range(spec.dim)])
         kept = [axis, state.csr_across[h]]

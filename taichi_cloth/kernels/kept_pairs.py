@@ -1,4 +1,4 @@
-"""Who may touch whom in a step, where cloths have a thickness: pairs kept from step to step.
+"""Pairs that may touch in a step, where cloths have a thickness: kept from step to step.
 
 Pairs within their reach and a skin are kept as long as `patches.py` says that none beyond can
 touch. Where all are listed, by the collision grid, those that came near each other on the straight
@@ -58,7 +58,7 @@ TURNED = 0.5**0.5  # cosine of the angle from which on a pair inside each other 
 
 
 def finding(spec):
-    """What finds who may touch whom at the end of this step: ti.funcs(spec, state, t), in turn."""
+    """Functions that find pairs that may touch at the end of a step: ti.funcs, in turn."""
     if spec.one_launch_per_step:
         return [_list_all, _narrow_all]
     return [_compare_patches, _list_anew, _narrow_all]
@@ -310,7 +310,7 @@ def _row_of(state: ti.template(), at, other):
 
 @ti.func
 def _kept_reach(spec: ti.template(), state: ti.template(), at, code):
-    """How near a pair that is kept may come."""
+    """The distance that a kept pair keeps."""
     other, place = code >> CODE_BITS, code & LATER
     row = state.closer_start[at] + ti.max(place - 1, 0)
     if place == LATER:

@@ -141,7 +141,7 @@ def wall_bounce(gap, vn, e):
 
 @ti.func
 def friction(slide, lost, mu):
-    """What friction takes from the velocity along a surface, and whether it takes all of it.
+    """The part of a velocity along a surface that friction takes, and whether it is all of it.
 
     It is Coulomb's law in a step (Coulomb, Theorie des machines simples, 1785): at most mu times
     what the normal velocity has lost, at most to rest.

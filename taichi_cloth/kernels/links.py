@@ -79,7 +79,7 @@ def _number_of_link(
 def link_value(
     spec: ti.template(), state: ti.template(), between: ti.template(), s, g, i, far, k, at
 ):
-    """What pack i gets from its links of kind s to the later pack `far`.
+    """The share of pack i from its links of kind s to the later pack `far`.
 
     k: the stiffness of these links; at: the index of their other numbers in the fields of links.
     """
@@ -93,7 +93,7 @@ def link_value(
 
 @ti.func
 def _static_offset(spec: ti.template(), s: ti.template(), pitch):
-    """What `grids.link_offset` is, of a kind that is known as a kernel is compiled."""
+    """`grids.link_offset` of a kind that is known as a kernel is compiled."""
     return ti.static(spec.links[s][0]) + ti.static(spec.links[s][1]) * pitch
 
 
@@ -134,7 +134,7 @@ def nothing(state):
 
 
 class Pass(NamedTuple):
-    """What a pass over links does: between, apart and consume as `springs.accumulate` takes them.
+    """A pass over links: between, apart and consume as `springs.accumulate` takes them.
 
     move(spec, state, i): run for each pack of a row right before the first links that reach that
         row are computed; `loops.leave` moves nothing.
@@ -219,7 +219,7 @@ def move_row(spec: ti.template(), state: ti.template(), g, r, of: ti.template())
 
 @ti.func
 def _joined_at(t, k: ti.template()):
-    """Where thread t joins number k of a row."""
+    """The place where thread t joins number k of a row."""
     return (t + 1) * JOIN_ROOM + k
 
 

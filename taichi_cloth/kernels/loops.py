@@ -102,7 +102,7 @@ def _meet_of_blocks(state: ti.template(), blocks: ti.template()):
 
 @ti.func
 def turns_of(count, first, step):
-    """How many of first, first + step, first + 2*step, ... are below `count`."""
+    """Count those of first, first + step, first + 2*step, ... below `count`."""
     return ti.raw_div(ti.max(count - first, 0) + step - 1, step)
 
 
@@ -313,7 +313,7 @@ def levels_of(packs):
 
 @ti.func
 def pieces_of(state: ti.template()):
-    """How many pieces of packs there are: on a CPU of at most PIECE consecutive ones."""
+    """The number of pieces of packs: on a CPU of at most PIECE consecutive ones."""
     if ti.static(in_three_levels()):
         return state.n_pieces[None]
     else:

@@ -13,7 +13,7 @@ from taichi_cloth.front_end.mending import kernel
 
 
 class Memory:
-    """Where the fields of some trees lie in memory; Taichi never moves a tree.
+    """The memory of the fields of some trees; Taichi never moves a tree.
 
     A kernel on a processor has ended when its launch returns, and reads what was written before it.
     """
@@ -51,14 +51,14 @@ def shape_of(field):
 
 
 def array_at(address, shape, dtype):
-    """What lies at an address, as an array of a shape and a type (`np.dtype`)."""
+    """The array at an address, of a shape and a type (`np.dtype`)."""
     count = int(np.prod(shape, dtype=np.int64))
     whole = (ctypes.c_char * (count * dtype.itemsize)).from_address(address)
     return np.frombuffer(whole, dtype).reshape(shape)
 
 
 def _offset(field):
-    """How far a field lies from the beginning of its tree, in bytes."""
+    """The offset of a field from the beginning of its tree, in bytes."""
     return _outermost(field.snode)._offset_bytes_in_parent_cell
 
 

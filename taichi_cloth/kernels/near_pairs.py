@@ -1,4 +1,4 @@
-"""Who may touch whom in a step: pairs of particles near each other, listed by place.
+"""Pairs of particles that may touch in a step, listed by place.
 
 Where no cloth has a thickness, all pairs within 1 + MARGIN of their reach at the step's free end
 are listed anew in each step; who has more of them than MOST_NEAR looks into the grid again.
@@ -29,7 +29,7 @@ MARGIN = 0.25  # of a pair's reach, within which particles may come to touch in 
 
 
 def finding(spec):
-    """What finds who may touch whom at the end of this step: ti.funcs(spec, state, t), in turn."""
+    """Functions that find pairs that may touch at the end of a step: ti.funcs, in turn."""
     return kept_pairs.finding(spec) if spec.thick else [_list_all]
 
 
@@ -41,7 +41,7 @@ def find_pairs(spec: ti.template(), state: ti.template(), t):
 
 
 def sizes(spec):
-    """How many numbers the sums over pairs have: changes of position and of velocity."""
+    """The size of sums over pairs: changes of position and of velocity."""
     return 2 * spec.dim
 
 
@@ -119,7 +119,7 @@ def sum_over_pairs(spec: ti.template(), state: ti.template(), at, term: ti.templ
 
 @ti.func
 def reach_of(spec: ti.template(), state: ti.template(), at, pair):
-    """How near a pair may come: the sum of its radii, or what is its own.
+    """The distance that a pair keeps: the sum of its radii, or its own.
 
     pair: the other one's place, or where a cloth has a thickness its row of state.near.
     """

@@ -1,4 +1,4 @@
-"""What obstacles leave of a step: particles neither enter them nor slide along them for nothing.
+"""Obstacles: particles neither enter them nor slide along them for nothing.
 
 From a step's free end (x, v) a particle that has entered an obstacle is put onto its surface. The
 velocity relative to the surface loses what points into it, and friction takes from what is left at
@@ -121,7 +121,7 @@ def _keep_ball(spec: ti.template(), state: ti.template(), slot, x, radius):
 
 @ti.func
 def slack_of(spec: ti.template(), state: ti.template(), o, x, radius):
-    """What is rounding in the distance from obstacle o of a ball of that radius around x."""
+    """The rounding in the distance from obstacle o of a ball of that radius around x."""
     size = size_of(x) + size_of(centre_of(spec, state, o, END))
     return (
         ROUNDINGS * ti.static(epsilon(state)) * (size + radius + state.obstacle_numbers[o, SCALE])
@@ -167,7 +167,7 @@ def _settle_particle(spec: ti.template(), state: ti.template(), slot):
 
 @ti.func
 def given_before(spec: ti.template(), state: ti.template(), slot):
-    """What walls, pairs and faces changed of a particle's velocity before obstacles, (dim,).
+    """The change by walls, pairs and faces of a velocity, before obstacles, (dim,).
 
     It is asked for where something bounces, and not of each particle, for which lanes take long.
     """
@@ -183,7 +183,7 @@ def given_before(spec: ti.template(), state: ti.template(), slot):
 
 @ti.func
 def kick_of(spec: ti.template(), state: ti.template(), slot):
-    """What faces have changed of a particle's velocity in the step so far, (dim,)."""
+    """The change by faces of a particle's velocity in the step so far, (dim,)."""
     kick = 0.0 * slot_value(spec, state.begun_v, slot)
     if ti.static(spec.faces):
         if state.face_finds[None] > 1:  # they have met something in this step
@@ -193,7 +193,7 @@ def kick_of(spec: ti.template(), state: ti.template(), slot):
 
 @ti.func
 def jump_of(spec: ti.template(), state: ti.template(), slot):
-    """What walls and pairs changed of a particle's velocity in the step, (dim,)."""
+    """The change by walls and pairs of a particle's velocity in the step, (dim,)."""
     pack = slot // spec.lanes
     x, v = read(spec, state.begun_x, pack), read(spec, state.begun_v, pack)
     jump = _of_slot(spec, velocity_jump(spec, state, pack, x, v), slot)
@@ -245,7 +245,7 @@ def obstructed(
     came_v,
     touched,
 ):
-    """What obstacle o leaves of a particle's free end: x, x_low, v, v_low.
+    """A particle's end of a step after obstacle o: x, x_low, v, v_low.
 
     Then come 1 if it changed them, and `steady`: 1 while all that the particle has touched in this
     step is at rest. slot: where the particle is; x_low, v_low: what is to be added to x and v
@@ -371,7 +371,7 @@ def bounce(u_before, u, part, e, position_weight: ti.template(), dt):
 
 @ti.func
 def meet(spec: ti.template(), state: ti.template(), o, slot, d, radius, slack):
-    """How a particle's step meets obstacle o: (gap, n, gap_before, part).
+    """The meeting of a particle's step with obstacle o: (gap, n, gap_before, part).
 
     d: where it ends, from the obstacle's centre. gap: how far the particle's surface then is from
     the obstacle's, negative: past it; n: the normal there, of the world. Where the step is longer

@@ -53,7 +53,7 @@ def in_lanes(a):
 
 
 def rows_of(spec, field):
-    """How many numbers a field of packs holds for each particle."""
+    """The numbers that a field of packs holds for each particle."""
     return field.shape[1] // spec.lanes
 
 
@@ -63,7 +63,7 @@ def is_by_component(spec, field):
 
 
 def ats_of(spec, field):
-    """Where each component of a pack's lanes lies, from its first slot on, if `is_by_component`."""
+    """The places of the components of a pack's lanes, from its first slot on."""
     room = field.shape[0] // spec.dim
     return [[k * room + lane for lane in range(spec.lanes)] for k in range(spec.dim)]
 
@@ -165,7 +165,7 @@ def _set_number(spec: ti.template(), field: ti.template(), i, k, lane, value):
 
 @ti.func
 def _first_vector(spec: ti.template(), field: ti.template(), i):
-    """Where pack i of a field begins in the memory of lanes."""
+    """The place of pack i of a field in the memory of lanes."""
     return (ti.static(field.first_vector) + i * ti.static(rows_of(spec, field))) & VECTORS
 
 

@@ -1,4 +1,4 @@
-"""What two particles that rest on each other do to each other, and obstacles to them.
+"""Laws of two particles that rest on each other, and of obstacles.
 
 Positions of two that overlap go apart in proportion to inverse masses, and velocities of two that
 touch lose what closes them in, with friction (Coulomb, 1785), and with restitution in the first

@@ -121,7 +121,7 @@ def by_patches(body):
 
 @ti.func
 def blocks_of(state: ti.template(), a):
-    """How many blocks a patch has."""
+    """The number of blocks of a patch."""
     return (state.patch_start[a + 1] - state.patch_start[a] + BLOCK - 1) // BLOCK
 
 

@@ -1,4 +1,4 @@
-"""What of a state is kept from step to step, and its copies to NumPy and back: checkpoints.
+"""Checkpoints: the fields kept from step to step, and their copies to NumPy and back.
 
 A run that goes on from a copy has the same bits as the one it was copied from if the copy has all
 that later steps read before they write it. So every field of `State` is kept, unless it is named
@@ -95,7 +95,7 @@ def is_kept(spec, state, method, name):
 
 
 def _changed_by_hand(spec):
-    """What a force that acts at times alone, such as the mouse's hold, changes without a load."""
+    """Fields that a force changes without a load, such as the mouse's hold."""
     terms = [load(name) for name in spec.terms]
     fields = [field for term in terms if has(term.acts) for field in term.fields]
     return {"w", *(field.name for field in fields)} if fields else set()
@@ -138,7 +138,7 @@ def _described(state, name, field):
 
 
 def in_use(state, packs, particles, springs, patches):
-    """How much of each room of a state is in use: {room: rows}.
+    """The rows of each room of a state that are in use: {room: rows}.
 
     packs, particles, springs, patches: how many there are; springs: those on the graph.
     """
@@ -158,7 +158,7 @@ def in_use(state, packs, particles, springs, patches):
 
 
 def groups_of(fields):
-    """What `copy_kept` goes through: for each room and number of blocks, a loop over the rows.
+    """Loops of `copy_kept`: for each room and number of blocks, one over the rows.
 
     (room, blocks, number of the group, its fields: (field, kind, width, whether it has whole
     numbers, number of the field)).

@@ -1,4 +1,4 @@
-"""Where obstacles are at both ends of a step, and how their points move.
+"""Poses of obstacles at both ends of a step, and the motion of their points.
 
 A pose is a centre and a matrix, whose columns are the axes of the obstacle's own frame: a local
 point q is at centre + matrix q. Obstacles move with constant velocities along and about their
@@ -18,22 +18,22 @@ START, END, NEXT = range(3)  # of a step; mean rates in the next one, where part
 
 
 def spins(dim):
-    """How many numbers an angular velocity has."""
+    """The size of an angular velocity."""
     return 1 if dim == 2 else 3
 
 
 def pose_size(dim):
-    """How many numbers a pose has: the centre, then the matrix row by row."""
+    """The size of a pose: the centre, then the matrix row by row."""
     return dim + dim * dim
 
 
 def start_size(dim):
-    """How many numbers state.obstacle_start has for each: pose at time 0, velocity, spin, span."""
+    """The size of a row of state.obstacle_start: pose at time 0, velocity, spin, span."""
     return pose_size(dim) + dim + spins(dim) + 2
 
 
 def poses_size(spec):
-    """How many numbers state.obstacle_pose has for each: the poses at both ends, and rates."""
+    """The size of a row of state.obstacle_pose: the poses at both ends, and rates."""
     return (3 if spec.held else 2) * pose_size(spec.dim)
 
 
@@ -116,7 +116,7 @@ def pose_after(spec: ti.template(), state: ti.template(), o, time):
 
 
 def _first(spec, end):
-    """Where a pose begins among an obstacle's numbers: what is at rest is read at one end alone."""
+    """The place of a pose among an obstacle's numbers; one at rest is read at one end alone."""
     return pose_size(spec.dim) * (END if end == START and not spec.moving else end)
 
 

@@ -30,7 +30,7 @@ def are_marks_by_host(state, count):
 
 
 def vectors_in_memory(spec, state, field, out):
-    """What `read_vectors` does, by the host: `is_by_host`."""
+    """Read vectors by the host, as `read_vectors` does: `is_by_host`."""
     slots, rows = state.memory.of(state.slot)[: len(out)], state.memory.of(field)
     if spec.lanes == 1:
         np.take(rows, slots, axis=0, out=out, mode="clip")
@@ -42,7 +42,7 @@ def vectors_in_memory(spec, state, field, out):
 
 
 def fracture_in_memory(state, count):
-    """What `read_fracture` copies of so many springs, (count, 2), read by the host."""
+    """Read marks of so many springs by the host, (count, 2), as `read_fracture` does."""
     marks = state.memory.of(state.status), state.memory.of(state.break_step)
     return np.stack([of[:count] for of in marks], axis=1)
 
@@ -53,7 +53,7 @@ def broken_in_memory(state, count):
 
 
 def work_in_memory(state):
-    """What `take_work` copies, (3,), taken by the host where it shares the memory."""
+    """Take the counts of work, (3,), by the host where it shares the memory."""
     counts = state.memory.of(state.work)
     work = counts.copy()
     counts[:] = 0

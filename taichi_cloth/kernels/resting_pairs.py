@@ -301,7 +301,7 @@ def _take_to_other_half(spec: ti.template(), state: ti.template(), at, touches, 
 
 @ti.func
 def _change(spec: ti.template(), state: ti.template(), at, pair):
-    """What a pair changes of the position and the velocity of the particle at `at`."""
+    """The change by a pair of position and velocity of the particle at `at`."""
     x, v = _value(spec, state, at, 0), _velocity(spec, state, at)
     n, gap, reach, relative, u, overlaps, approaches = _between(spec, state, at, pair, x, v)
     other = place_of(spec, state, pair)
@@ -310,7 +310,7 @@ def _change(spec: ti.template(), state: ti.template(), at, pair):
 
 @ti.func
 def _change_by_touching(spec: ti.template(), state: ti.template(), at):
-    """What all pairs that touch, as listed, change of a particle of cloth."""
+    """The change by all listed pairs that touch of a particle of cloth."""
     change = ti.Vector.zero(state.real, ti.static(sizes(spec)))
     start, v = state.near_start[at], _velocity(spec, state, at)
     for k in range(start, start + state.touch_count[at]):
@@ -350,7 +350,7 @@ def _change_by(
     overlaps,
     approaches,
 ):
-    """What a pair changes of the particle at `at`, by what `_between` says of it."""
+    """The change by a pair of the particle at `at`, by `_between`."""
     w, other_w, dt = sorted_w(spec, state, at), sorted_w(spec, state, other), state.dt[None]
     dx, dv = 0.0 * n, 0.0 * n
     if overlaps > 0:

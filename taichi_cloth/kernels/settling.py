@@ -50,7 +50,7 @@ def ends_step(spec):
 
 
 def acts_of(spec, state):
-    """What is run one after the other at the end of a step, as ti.funcs.
+    """The parts of the end of a step, one after the other, as ti.funcs.
 
     Where pairs of cloth are swept, all of them are run until no round is to come
     (`goes_on`), and what is no part of a round in the first or in the last one alone.
@@ -112,7 +112,7 @@ def in_launches(spec):
 
 
 def launches_before_pairs(spec):
-    """What comes before resting pairs, a launch each: ti.funcs, and the phases of what repeats."""
+    """The parts before resting pairs, a launch each: ti.funcs, and phases of what repeats."""
     return [faces.PHASES if act is faces.settle else act for act in _acts_before_pairs(spec)]
 
 

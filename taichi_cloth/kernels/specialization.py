@@ -1,4 +1,4 @@
-"""What is compiled for a run: the scene's features, how particles are stored, how loops are run."""
+"""The specialization of a run: the scene's features, the storage, the way of loops."""
 
 from dataclasses import dataclass
 
@@ -110,12 +110,12 @@ class Specialization:
 
     @property
     def kinds(self) -> int:
-        """How many kinds of link there are."""
+        """The number of kinds of link."""
         return len(self.links)
 
     @property
     def line_kinds(self) -> int:
-        """How many kinds of line there are."""
+        """The number of kinds of line."""
         return len(self.lines)
 
     @property
@@ -125,32 +125,32 @@ class Specialization:
 
     @property
     def reach(self) -> int:
-        """How many columns a link or line reaches at most, to either side."""
+        """The most columns that a link or line reaches, to either side."""
         return max((abs(c) for c, _ in self._reaches), default=0)
 
     @property
     def halo(self) -> int:
-        """How many halo packs lie on each side of a row; 0 where a pack is one particle."""
+        """The halo packs on each side of a row; 0 where a pack is one particle."""
         return self.reach if self.lanes > 1 else 0
 
     @property
     def left_reach(self) -> int:
-        """How many columns links reach at most to the left; 0 where there are no halos."""
+        """The most columns that links reach to the left; 0 where there are no halos."""
         return max((-c for c, _ in self._reaches), default=0) if self.halo else 0
 
     @property
     def right_reach(self) -> int:
-        """How many columns links reach at most to the right; 0 where there are no halos."""
+        """The most columns that links reach to the right; 0 where there are no halos."""
         return max((c for c, _ in self._reaches), default=0) if self.halo else 0
 
     @property
     def depth(self) -> int:
-        """How many rows a link or line reaches down at most."""
+        """The most rows that a link or line reaches down."""
         return max((r for _, r in self._reaches), default=0)
 
     @property
     def ring_depth(self) -> int:
-        """How many rows the ring of a thread has (`links.pass_over_rows`), a power of two.
+        """The rows of a thread's ring (`links.pass_over_rows`), a power of two.
 
         It is larger than depth + 1, so that the row after these has room, too.
         """

@@ -44,7 +44,7 @@ def substep(method: ti.template(), spec: ti.template(), state: ti.template(), t,
 
 
 def after_steps(spec):
-    """What the scene's forces do at the end of each step, as ti.funcs."""
+    """The parts of the scene's forces at the end of each step, as ti.funcs."""
     terms = [load(name) for name in spec.terms]
     return [term.after_step for term in terms if has(term.after_step)]
 

@@ -29,7 +29,7 @@ class Vectors:
 
     @property
     def n(self):
-        """How many components they have."""
+        """The number of components."""
         return len(self.components)
 
     def copied(self):
@@ -77,7 +77,7 @@ class Vectors:
 
 
 def _replacements():
-    """What lets Taichi copy `Vectors` into variables, and leave arithmetic with them to them."""
+    """Let Taichi copy `Vectors` into variables, and leave arithmetic with them to them."""
 
     def leaving(operate):
         @functools.wraps(operate)

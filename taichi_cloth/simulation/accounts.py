@@ -1,4 +1,4 @@
-"""What the steps of a simulation have done: work, what contacts did, how solutions converged."""
+"""Accounts of a simulation's steps: work, contacts, and how solutions converged."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class Accounts(Part):
     """The part of a `Simulation` that says what its steps have done."""
 
     def work(self) -> diagnostics.Work:
-        """What it has done since the start, or since `reset`."""
+        """Its work since the start, or since `reset`."""
         forces, sweeps, unconverged = (int(count) for count in self._work)
         before, steps = self._counted  # evaluations, until the method was changed
         forces = before + ((self.steps - steps) * self.claims.forces or forces)
@@ -27,7 +27,7 @@ class Accounts(Part):
         self.storage.account_contacts()
 
     def contact_account(self) -> diagnostics.ContactAccount | None:
-        """What contacts have done since `account_contacts`; None: no account is kept."""
+        """The account of contacts since `account_contacts`; None: none is kept."""
         account = self.storage.contact_account()
         if account is None:
             return None
@@ -45,7 +45,7 @@ class Accounts(Part):
             raise RunFailure(self.describe_convergence())
 
     def describe_convergence(self) -> str:
-        """How many steps missed their tolerance, how the last one did, and what to change.
+        """The steps that missed their tolerance, how the last one did, and what to change.
 
         InputError where the method has no tolerance to meet.
         """
@@ -64,7 +64,7 @@ class Accounts(Part):
         )
 
     def solution(self) -> diagnostics.Solution:
-        """How the last step was solved; InputError where the method has no tolerance to meet."""
+        """The solution of the last step; InputError where the method has no tolerance to meet."""
         if "tolerance" not in self.claims.settings:
             raise InputError(f"{self.method} solves no equations to a tolerance")
         return self.storage.solution()

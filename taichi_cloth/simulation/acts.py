@@ -1,4 +1,4 @@
-"""What is done to a simulation from outside, told to who listens, so that it can be done again."""
+"""Acts on a simulation from outside, told to who listens, so that they can be done again."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Method = TypeVar("Method", bound=Callable[..., Any])
 
 
 class Listener:
-    """Who is told of a run: of each act, and of each frame after it was made.
+    """A listener to a run: it is told of each act, and of each frame after it was made.
 
     It changes nothing of the simulation, and keeps no argument: some are written to later. What it
     does not care for it leaves as it is here.

@@ -1,4 +1,4 @@
-"""What runs have compiled beside themselves for runs to come (`cli/run_aside.py`), and what failed.
+"""Kernels that runs compiled beside themselves for runs to come, and what failed.
 
 It is kept in the user's cache folder, by kind of run.
 """
@@ -16,7 +16,7 @@ MOST_KINDS = 200  # that are kept, the newest ones
 
 @dataclass(frozen=True)
 class Tried:
-    """What came of compiling something beside runs of a kind.
+    """The outcome of compiling something beside runs of a kind.
 
     what: what was compiled, then device, method, features and size. done, failed: how often.
     why: it failed last.
@@ -29,12 +29,12 @@ class Tried:
 
 
 def tried(what: str) -> Tried:
-    """What came of it in a kind of run."""
+    """Its outcome in a kind of run."""
     return next((one for one in all_tried() if one.what == what), Tried(what))
 
 
 def all_tried() -> list[Tried]:
-    """What came of it in all of them, the newest last."""
+    """Its outcome in all of them, the newest last."""
     table = cache.read(FILE)
     entries = table.items() if isinstance(table, dict) else ()
     return [Tried(what, *entry) for what, entry in entries if _is_entry(entry)]

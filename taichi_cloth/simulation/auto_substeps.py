@@ -57,7 +57,7 @@ class AutoSubsteps:
         return chosen
 
     def memory(self) -> dict[str, Any]:
-        """What it remembers, numbers and arrays by name; `recall` takes it."""
+        """Its memory, numbers and arrays by name; `recall` takes it."""
         known = {"broken": self._broken, "breaking": self._breaking}
         return known | self._controller.memory()
 

@@ -50,12 +50,12 @@ class Candidates(Protocol):
         """The topologies that the scene can be stored in."""
 
     def predict(self, topology: str, path: str) -> Cost:
-        """What a way is predicted to cost."""
+        """The predicted cost of a way."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """How a scene is run.
+    """The way in which a scene is run.
 
     forced: whether the path was asked for. costs: of both paths in that topology, as expected.
     """
@@ -67,7 +67,7 @@ class Choice:
 
 
 def choose(topology: str, execution: str, candidates: Candidates) -> Choice:
-    """How to run a scene: as requested, else what is expected to be fastest. Nothing is run.
+    """Choose how to run a scene: as requested, else by expected speed. Nothing is run.
 
     Raises InputError for an unknown word, and for lanes where the scene has no regular grid.
     """
@@ -98,7 +98,7 @@ def choose(topology: str, execution: str, candidates: Candidates) -> Choice:
 
 
 def expected(candidates: Candidates, topologies: list[str]) -> Costs:
-    """What each way is expected to cost: as remembered, else as predicted.
+    """The expected cost of each way: as remembered, else as predicted.
 
     Where other ways of the same kind of scene are remembered, predictions are as much too short or
     too long as theirs were.
@@ -143,7 +143,7 @@ def fastest(seconds: dict[str, float]) -> str:
 
 
 class Watch:
-    """What the launches of a run cost, and whether all threads together are slower than one alone.
+    """The cost of a run's launches, and whether all threads together are slower than one.
 
     They wait for each other several times a step, so where other programs want the cores they may
     be. Both paths give the same bits, so a run may change over. But the other way may have to be
@@ -229,14 +229,14 @@ class Watch:
 
 @dataclass(frozen=True)
 class Measured:
-    """What was measured for one kind of scene, by 'topology execution'."""
+    """Measured costs of one kind of scene, by 'topology execution'."""
 
     what: str
     costs: Costs
 
 
 def measurements() -> list[Measured]:
-    """What the cache holds for this machine and version, the newest last."""
+    """Contents of the cache for this machine and version, the newest last."""
     prefix, table = _machine() + "/", _read()
     keys = [key.removeprefix(prefix) for key in table if key.startswith(prefix)]
     kinds = [Measured(key, _entry(table, key)) for key in keys]
@@ -260,7 +260,7 @@ def remember(key: str, way: str, cost: Cost) -> None:
 
 
 def cache_file() -> Path:
-    """Where the measurements are kept."""
+    """The folder of the measurements."""
     return cache.folder() / FILE
 
 

@@ -20,7 +20,7 @@ def folder() -> Path:
 
 
 def read(name: str) -> Any:
-    """What a file holds; None where there is none, or none that can be read."""
+    """The contents of a file; None where there is none, or none that can be read."""
     try:
         return json.loads((folder() / name).read_text())
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""What may be changed in a simulation while it runs, as its users call it."""
+"""Changes of a simulation while it runs, as its users call them."""
 
 from __future__ import annotations
 
@@ -234,5 +234,5 @@ class Changes(Part):
             self.storage.grab(None)
 
     def held(self) -> Hold | None:
-        """What is held now; None: nothing."""
+        """The particles held now; None: none."""
         return self.storage.scene.world.held

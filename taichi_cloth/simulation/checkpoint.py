@@ -56,7 +56,7 @@ class Checkpoint:
     engine: Mapping[str, Any] | None = None
 
     def __repr__(self) -> str:
-        """What a prompt or a notebook's cell shows of it: not the state."""
+        """Its line at a prompt or in a notebook's cell: not the state."""
         run = f"{self.method} in {self.precision}"
         return f"<Checkpoint: {self.name!r} after {counted(self.frame, 'frame')} of {run}>"
 

@@ -20,7 +20,7 @@ MOST = 1000  # kinds that are listed, the newest ones
 
 
 def kind(device: Device, method: Method, spec: Specialization, capacity: Capacity) -> str:
-    """What decides which kernels a run has, as a digest."""
+    """A digest of what decides which kernels a run has."""
     what = (__version__, str(kernel_cache()), device, method.claims, spec, capacity)
     return hashlib.sha256(repr(what).encode()).hexdigest()[:16]
 

@@ -26,7 +26,7 @@ from taichi_cloth.scene.stencils import Stencils
 def describe_fault(
     world: World, position: np.ndarray, velocity: np.ndarray, speed_limit: float
 ) -> str:
-    """What is wrong with a particle that the watchdog stopped, position and velocity (dim,)."""
+    """The fault of a particle that the watchdog stopped, position and velocity (dim,)."""
     if not (np.isfinite(position).all() and np.isfinite(velocity).all()):
         return "has a position or velocity that is not a finite number"
     speed = float(np.linalg.norm(velocity))
@@ -45,7 +45,7 @@ def describe_fault(
 
 
 def _beyond(world: World, wall: str, position: np.ndarray) -> float:
-    """How far a position (dim,) is beyond a wall; negative: short of it."""
+    """The distance of a position (dim,) beyond a wall; negative: short of it."""
     axis, side = world.side(wall)
     bound = world.high[axis] if side > 0 else world.low[axis]
     return float(side * (position[axis] - bound))

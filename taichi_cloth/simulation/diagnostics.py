@@ -20,7 +20,7 @@ from taichi_cloth.scene.triangles import corner_shares
 
 @dataclass(frozen=True)
 class Work:
-    """What a run has done: steps, evaluations of all forces, sweeps of a solver over all springs,
+    """The work of a run: steps, evaluations of all forces, sweeps of a solver over all springs,
     and how many steps' solutions did not converge to their tolerance.
     """
 
@@ -37,7 +37,7 @@ class Work:
 
 @dataclass(frozen=True)
 class Solution:
-    """How the equations of a step's last stage were solved.
+    """The solution of a step's last stage.
 
     outcome: in words, such as "converged"; converged: whether the residual met its tolerance, or is
     as small as rounding leaves it. residual_max, residual_rms: of all particles, as accelerations;
@@ -56,7 +56,7 @@ class Solution:
 
 @dataclass(frozen=True)
 class ContactAccount:
-    """What contacts did in a run.
+    """The account of contacts in a run.
 
     gained: the energy that they gave, summed over the steps in which all of them together gave any
     (`kernels.contact_account`), in the scene's units. balance: that of all steps, less what they
@@ -127,7 +127,7 @@ def energy_of(
 
 
 def spring_forces(x: np.ndarray, v: np.ndarray, springs: Springs) -> np.ndarray:
-    """What `springs` do to the particles at x, v (n, dim), dashpots included, (n, dim)."""
+    """Forces of `springs` on the particles at x, v (n, dim), dashpots included, (n, dim)."""
     a, b = springs.between.T
     d = x[b] - x[a]
     length = np.linalg.norm(d, axis=1)
@@ -145,7 +145,7 @@ def spring_forces(x: np.ndarray, v: np.ndarray, springs: Springs) -> np.ndarray:
 
 
 def stencil_forces(x: np.ndarray, stencils: Stencils, fixed: np.ndarray) -> np.ndarray:
-    """What `stencils` do to the particles at x (n, dim), of which some are fixed, (n, dim)."""
+    """Forces of `stencils` on the particles at x (n, dim), of which some are fixed, (n, dim)."""
     curvature, k = stencils.curvature(x), stencils.stiffness(fixed)
     pull = np.zeros_like(curvature)
     for name in forces.TERMS:

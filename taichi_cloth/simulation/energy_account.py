@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Booked:
-    """What an account says, in the scene's units of energy, since its start.
+    """An account of energy, in the scene's units, since its start.
 
     total: kinetic and potential energy now; change: of it since the start. work: of forces without
     a potential, of springs that broke and of pushes, negative where they take energy. by_hand: what
@@ -57,7 +57,7 @@ class Booked:
 
     @property
     def drift(self) -> float:
-        """What the method's step made of nothing; of contacts, too, where these have no account."""
+        """Energy that the method's step made of nothing; contacts', too, without an account."""
         return self.change - self.work - self.by_hand
 
 

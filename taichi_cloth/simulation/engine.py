@@ -1,4 +1,4 @@
-"""What runs a scene, and how it is changed for another one while the scene goes on: the method."""
+"""The engine of a scene, and its exchange for another while the scene goes on."""
 
 from __future__ import annotations
 

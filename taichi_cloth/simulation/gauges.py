@@ -1,4 +1,4 @@
-"""What the meters of a window read of a simulation, in a small part of its time.
+"""Gauges: what meters read of a simulation, in a small part of its time.
 
 A gauge is read at most so often that it takes its share of the time (`SHARES`); `History.rate` says
 how often that is. Nothing of the run is changed: all that is read are copies.
@@ -39,7 +39,7 @@ AT_FIRST, IMPROVEMENTS = 30, 3  # products for the fastest mode: at first, and a
 
 @dataclass(frozen=True)
 class State:
-    """What was read of a state. booked: its energy, and where that came from and went.
+    """Readings of a state. booked: its energy, and where that came from and went.
 
     momentum: (dim,). strain: the largest in magnitude, pulled positive, of the spring of number
     `spring` between the particles `ends` (-1: there is none). breaks: whether that one may break
@@ -61,7 +61,7 @@ class State:
 
 @dataclass(frozen=True)
 class Margin:
-    """How far a step is from the stable limit. step: h; limit: the largest one, and what sets it.
+    """A step beside the stable limit. step: h; limit: the largest one, and what sets it.
 
     error: the part by which omega may be larger, by what is left to improve. always: whether the
     method is stable at every step. never: whether at none.
@@ -251,7 +251,7 @@ class Gauges:
         self.margins.note(now, self.margin.reach, self.margin.used)
 
     def _margin(self, network: Network, more: int) -> Margin:
-        """How far the step is from the limit after so many more products for the fastest mode."""
+        """The step beside the limit after so many more products for the fastest mode."""
         sim = self._sim
         step, stable = sim.dt / sim.substeps, sim.claims.stability_limit
         found = self.mode.follow(network, step, more)
@@ -261,7 +261,7 @@ class Gauges:
 
 
 def _state(moment: Moment, booked: Booked, full: float) -> State:
-    """What there is to say of a moment. full: the strain that counts as full."""
+    """Readings of a moment. full: the strain that counts as full."""
     network = moment.network
     particles = network.particles
     momentum = diagnostics.momentum(network.velocity, particles.mass, particles.fixed)

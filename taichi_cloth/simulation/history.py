@@ -46,7 +46,7 @@ class History:
         return now - row[:, 0], row[:, 1:]
 
     def rate(self, now: float) -> float:
-        """How many rows a second were noted lately; 0 before the second one."""
+        """Rows a second noted lately; 0 before the second one."""
         age, _ = self.last(now)
         age = age[age <= min(2.0, self.seconds)]
         return (len(age) - 1) / (age[0] - age[-1]) if len(age) > 1 and age[0] > age[-1] else 0.0

@@ -77,7 +77,7 @@ class Launcher:
         self._step = phases.stepping(method.phases) if method.phases else method.step
 
     def specialize(self, spec: Specialization, path: str, packs: int) -> Specialization:
-        """What is compiled for frames on a path, "serial" or "parallel", of what `spec` stores.
+        """The specialization of frames on a path, "serial" or "parallel", of what `spec` stores.
 
         packs: for how many there is room, so that what is spawned there compiles nothing anew.
         """
@@ -96,7 +96,7 @@ class Launcher:
         return most > 0 and not spec.thick and (few or bool(self._method.phases))
 
     def _staying(self, spec: Specialization, packs: int) -> Specialization:
-        """What is compiled for blocks that stay on a GPU, and are as many as it holds at most.
+        """The specialization of blocks that stay on a GPU, as many as it holds at most.
 
         That is a power of two, so that scenes of like sizes share kernels.
         """
@@ -318,7 +318,7 @@ class Launcher:
 
     @contextlib.contextmanager
     def _settings(self, spec: Specialization | None) -> Iterator[None]:
-        """How kernels on the packs of a specialization are compiled; None: they touch no packs."""
+        """The way kernels on the packs of a specialization are compiled; None: they touch none."""
         with contextlib.ExitStack() as settings:
             if spec is not None and spec.lanes > 1:
                 settings.enter_context(whole_vectors())
@@ -335,7 +335,7 @@ def _power_of_two_below(count: int) -> int:
 
 
 def _for_one_pass(spec: Specialization, state: Any) -> Specialization:
-    """What is compiled for a launch that goes over all packs but once: one thread where they are
+    """The specialization of a launch that goes over all packs but once: one thread where they are
     few, as to wake the others takes longer.
     """
     short = spec.threads > 1 and loops.is_short(state.packs * spec.lanes)

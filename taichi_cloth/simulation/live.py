@@ -222,7 +222,7 @@ class _Column:
         return 1.0
 
     def given(self, value: float | None) -> Any:
-        """What is set, one for all or (m,)."""
+        """The value set, one for all or (m,)."""
         if self.alike or value is None:
             return value
         return self.own * value
@@ -249,7 +249,7 @@ def _column(sim: Simulation, table: str, name: str, kind: str | None = None) -> 
 
 
 def _clicked(scene: Scene, table: str, name: str, count: int) -> np.ndarray:
-    """What springs or particles that are added to a scene have, (count,)."""
+    """The numbers of springs or particles added to a scene, (count,)."""
     springs = table == "springs"
     about = (SPRING_PROPERTIES if springs else PARTICLE_PROPERTIES)[name]
     default = getattr(scene.spring_defaults if springs else scene.particle_defaults, name)

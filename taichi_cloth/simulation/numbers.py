@@ -20,7 +20,7 @@ RUNAWAY_CROSSINGS = 100.0
 
 @dataclass(frozen=True)
 class Numbers:
-    """What the device is told. dt: time of a step; speed_limit: above it a particle runs away;
+    """Numbers for the device. dt: time of a step; speed_limit: above it a particle runs away;
     tolerance, iterations: of solvers, 0 for methods that take none. first_time, first_step: the
     scene's time, and the steps done until then, from which the device counts time on (`clock`).
     """

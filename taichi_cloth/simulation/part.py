@@ -1,4 +1,4 @@
-"""What the parts of a simulation know of each other: the run as it is, and what changes it."""
+"""The shared base of a simulation's parts: the run as it is, and what changes it."""
 
 from __future__ import annotations
 
@@ -99,12 +99,12 @@ class Part(ABC):
     @property
     @abstractmethod
     def particle_count(self) -> int:
-        """How many particles there are."""
+        """The number of particles."""
 
     @property
     @abstractmethod
     def spring_count(self) -> int:
-        """How many springs there are, broken ones included."""
+        """The number of springs, broken ones included."""
 
     @abstractmethod
     def network(self) -> Network:
@@ -112,7 +112,7 @@ class Part(ABC):
 
     @abstractmethod
     def work(self) -> diagnostics.Work:
-        """What has been done since the start."""
+        """Acts since the start."""
 
     @abstractmethod
     def _lanes_for(self, module: Method) -> int:
@@ -136,7 +136,7 @@ class Part(ABC):
 
     @abstractmethod
     def _numbers(self) -> Numbers:
-        """What the device is told of the run's settings."""
+        """The run's settings, as numbers for the device."""
 
     @abstractmethod
     def _edit(

@@ -1,4 +1,4 @@
-"""What led to where a run is: where it began, what was done since, and a few states on the way.
+"""The past of a run: its begin, the acts since, and a few states on the way.
 
 It is what a post-mortem makes the run again from. Acts cost what it takes to pickle their
 arguments; checkpoints are those that others make anyway, such as a window's timeline, and where
@@ -29,7 +29,7 @@ BEGIN = frozenset(("reset", "load_scene", "restore"))
 
 @dataclass(frozen=True)
 class Settings:
-    """What a run goes on with: the method, the time of a frame, its steps, the solver's numbers.
+    """The settings of a run: the method, the time of a frame, its steps, the solver's numbers.
 
     follows: whether it chooses the steps itself (`dt="auto"`); then substeps are those of the time.
     """
@@ -116,7 +116,7 @@ class Past:
             self.begin(sim, [*args, *given.values()][0] if name == "restore" else None)
 
     def _lose(self) -> None:
-        """What came before cannot be made again: places begin anew with the next checkpoint."""
+        """Forget what came before: places begin anew with the next checkpoint."""
         self.acts, self._bytes, self._dropped = [], 0, 0
         self.origin, self.ring = None, []
 
@@ -159,14 +159,14 @@ class Past:
     # --- back ------------------------------------------------------------------------------
 
     def acts_since(self, place: Place) -> dict[int, list[bytes]]:
-        """What was done since a place, by the number of frames done before it."""
+        """Acts since a place, by the number of frames done before them."""
         found: dict[int, list[bytes]] = {}
         for frame, told in self.acts[place.acts - self._dropped :]:
             found.setdefault(frame, []).append(told)
         return found
 
     def places(self) -> list[Place]:
-        """Where the run can be made again from, the earliest first."""
+        """Places from which the run can be made again, the earliest first."""
         ring = [place for place in self.ring if place is not self.origin]
         return [self.origin, *ring] if self.origin is not None else ring
 
@@ -183,7 +183,7 @@ class Past:
 
 
 def _bytes(ring: list[Place]) -> int:
-    """What the checkpoints of some places take; what they share counts once."""
+    """The memory of the checkpoints of some places; what they share counts once."""
     held = {id(a): a.nbytes for p in ring if p.checkpoint for a in p.checkpoint.arrays()}
     return sum(held.values())
 

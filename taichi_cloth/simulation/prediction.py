@@ -1,4 +1,4 @@
-"""What a scene's steps cost in each way that it can be run, predicted from its size.
+"""The cost of a scene's steps in each way of running it, predicted from its size.
 
 Only how ways compare is asked of it. The numbers were measured on one processor of 2 cores: on
 another one all of them are faster or slower, and what was remembered there corrects them
@@ -53,7 +53,7 @@ RESTING = 40e-9  # seconds a particle, in each
 
 @dataclass(frozen=True)
 class Cost:
-    """What a way of running costs.
+    """The cost of a way of running.
 
     launch: seconds for each launch, whatever it does. step: seconds for each step besides.
     """
@@ -88,12 +88,12 @@ class Prediction:
         return self._storage.topologies()
 
     def predict(self, topology: str, path: str) -> Cost:
-        """What the scene costs in a topology, on a path."""
+        """The cost of the scene in a topology, on a path."""
         return predict(self._scene, self._method, self._device, topology, path)
 
 
 def predict(scene: Scene, method: Method, device: Device, topology: str, path: str) -> Cost:
-    """What a scene costs under a method, on a device, in a topology and on a path."""
+    """The cost of a scene under a method, on a device, in a topology and on a path."""
     passes = method.claims.forces or max(
         SOLVER_PASSES.get(setting, 1) for setting in ("", *method.claims.settings)
     )
@@ -135,6 +135,6 @@ def slow_to_compile(scene: Scene, solids: Sequence[Solid]) -> tuple[str, ...]:
 
 
 def describe_size(scene: Scene) -> str:
-    """What decides a step's cost besides the device: features, and sizes by powers of two."""
+    """A key of a step's cost besides the device: features, and sizes by powers of two."""
     sizes = len(scene.particles).bit_length(), len(scene.springs).bit_length()
     return f"{forces.describe(scene)}; 2^{sizes[0]} particles, 2^{sizes[1]} springs"

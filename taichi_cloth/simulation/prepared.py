@@ -28,7 +28,7 @@ KEPT = Specialization, FunctionType, NoneType  # what templates may be, besides
 
 
 class _Signature(NamedTuple):
-    """Where a kernel's arguments are, by kind.
+    """Places of a kernel's arguments, by kind.
 
     templates: all but the state. arrays: each with the number of axes of its elements. numbers:
     each with its type, float or int.
@@ -51,7 +51,7 @@ class PreparedLaunches:
         self._last: dict[Callable[..., Any], PreparedLaunch] = {}  # of each kernel
 
     def find(self, kernel: Callable[..., Any], arguments: tuple[Any, ...]) -> PreparedLaunch | None:
-        """What launches a kernel with these arguments; None if it has yet to be launched so."""
+        """Find the launch of a kernel with these arguments; None if there was none yet."""
         last = self._last.get(kernel)  # most launches are those of the frame before
         if last is not None and last.repeats(arguments):
             return last
@@ -66,7 +66,7 @@ class PreparedLaunches:
         return prepared
 
     def last(self, kernel: Callable[..., Any]) -> PreparedLaunch | None:
-        """What a kernel was launched with last, of those that `find` found."""
+        """The last launch of a kernel, of those that `find` found."""
         return self._last.get(kernel)
 
     def note(self, kernel: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
@@ -235,7 +235,7 @@ def _primal(kernel: Callable[..., Any]) -> Any:
 
 @cache
 def _signature(kernel: Callable[..., Any]) -> _Signature | None:
-    """Where a kernel's arguments are; None if it is not launched in this way."""
+    """Places of a kernel's arguments; None if it is not launched in this way."""
     from taichi.types import ndarray_type, template
 
     primal = _primal(kernel)

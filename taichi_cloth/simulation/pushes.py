@@ -1,4 +1,4 @@
-"""What pushes a simulation's particles from outside: a pointer's blow, a force that is held."""
+"""Pushes from outside on a simulation's particles: a pointer's blow, a force that is held."""
 
 from __future__ import annotations
 

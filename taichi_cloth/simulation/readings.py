@@ -1,4 +1,4 @@
-"""What may be read of a simulation, as its users call it."""
+"""Readings of a simulation, as its users call them."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ class Readings(Part):
 
     @property
     def particle_count(self) -> int:
-        """How many particles there are."""
+        """The number of particles."""
         return len(self.storage.scene.particles)
 
     @property
     def spring_count(self) -> int:
-        """How many springs there are, broken ones included."""
+        """The number of springs, broken ones included."""
         return len(self.storage.scene.springs)
 
     @property
     def lanes(self) -> int:
-        """How many particles of a regular grid are in a vector; 1 on the graph, and on GPUs."""
+        """The particles of a regular grid in a vector; 1 on the graph, and on GPUs."""
         return self.storage.specialization.lanes if self.topology == "lanes" else 1
 
     @property
@@ -46,7 +46,7 @@ class Readings(Part):
 
     @property
     def way(self) -> str:
-        """How it is run, in words: "parallel lanes", "serial graph", "serial lanes of 16"."""
+        """The way it is run, in words: "parallel lanes", "serial graph", "serial lanes of 16"."""
         wide = f" of {self.lanes}" if self.wide else ""
         return f"{self.execution} {self.topology}{wide}"
 
@@ -136,7 +136,7 @@ class Readings(Part):
         return self.storage.drawn_triangles()
 
     def obstacles(self, time: float | None = None) -> list[Drawn]:
-        """What is in the way, where it is at a time: obstacles in their order, then the ground.
+        """Obstacles in their order, then the ground, where they are at a time.
 
         Each has vertices (k, dim) and triangles (m, 3) to draw it by. Resting walls are left out.
         time: of the scene; None: now.
@@ -151,7 +151,7 @@ class Readings(Part):
         return found
 
     def depths(self) -> np.ndarray:
-        """How deep each particle is in what is in its way, (n,) [length].
+        """The depth of each particle in what is in its way, (n,) [length].
 
         It is negative where it touches nothing: how far it is from all of it. It is infinitely far
         in a scene without obstacles, ground and resting walls.

@@ -1,4 +1,4 @@
-"""What frames cost with the settings that a run has had, and what they would with others."""
+"""Costs of frames with the settings that a run has had, and with others."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ WARM = 3  # frames after a change, that compile or fill caches
 
 @dataclass(frozen=True)
 class FrameCost:
-    """What a frame costs. seconds: None where nothing is known. how: "measured", "predicted" or
+    """The cost of a frame. seconds: None where nothing is known. how: "measured", "predicted" or
     "not measured".
     """
 
@@ -60,14 +60,14 @@ class RunningCosts:
             self._mean[way] = mean + max(RECENT, 1 / count) * (seconds - mean)
 
     def now(self, sim: Simulation) -> FrameCost:
-        """What a frame costs as the run is."""
+        """The cost of a frame as the run is."""
         seconds = self._mean.get(self._way(sim))
         return FrameCost(seconds, "not measured" if seconds is None else "measured")
 
     def of(
         self, sim: Simulation, setting: Setting, value: Any, substeps: int | None = None
     ) -> FrameCost:
-        """What a frame would cost with another value of a setting.
+        """The cost of a frame with another value of a setting.
 
         Measured where the run had it; predicted from the present cost where steps, sweeps, the
         method or features say by how much it differs. Numbers that change no work cost what they
@@ -90,7 +90,7 @@ class RunningCosts:
         return FrameCost(now.seconds * factor, "predicted")
 
     def _way(self, sim: Simulation, scene: Scene | None = None, **other: Any) -> tuple[Any, ...]:
-        """What decides the work of a frame; scene: in the place of the present one."""
+        """A key of the work of a frame; scene: in the place of the present one."""
         sweeps = other.get("iterations", sim.solver.get("iterations"))
         tolerance = other.get("tolerance", sim.solver.get("tolerance"))
         method = other.get("method", sim.method)

@@ -36,7 +36,7 @@ class Saved:
 
 
 def digest(scene: Scene) -> str:
-    """What tells a scene from any other, in 16 letters: all of its numbers.
+    """A digest of a scene in 16 letters: of all of its numbers.
 
     Whether it is compiled for mouse tools is none: a window's scene is, a picture's is not.
     """

@@ -1,4 +1,4 @@
-"""What each setting of a run costs as it is: milliseconds of a frame, or room to the stable step.
+"""Costs of each setting of a run: milliseconds of a frame, or room to the stable step.
 
 Times are measured in the run, or predicted from what was measured there by how work compares
 (`prediction.py`); parts of the stable step are computed from the springs as they are, along the
@@ -38,7 +38,7 @@ FREE, UNKNOWN = "free", "?"
 
 @dataclass(frozen=True)
 class Beside:
-    """What stands beside a setting. words: at most nine letters; "~" before a predicted time. said:
+    """The text beside a setting. words: at most nine letters; "~" before a predicted time. said:
     the same in a sentence. used: the part of the stable step; None: it is not about that.
     """
 
@@ -93,14 +93,14 @@ class SettingCosts:
         self._took = time.thread_time() - busy
 
     def of(self, one: Setting, value: Value) -> Beside:
-        """What a setting costs at its present value."""
+        """The cost of a setting at its present value."""
         known = self._said.get(one.name)
         if known is None or known[0] != value:
             known = self._said[one.name] = value, self._found(one, value)
         return known[1]
 
     def option(self, one: Setting, word: str) -> Beside:
-        """What another method would cost, and how many substeps it would need."""
+        """The cost of another method, and the substeps that it would need."""
         key = f"{one.name}:{word}"
         if key not in self._said:
             self._said[key] = word, self._of_method(one, word)
@@ -207,7 +207,7 @@ class SettingCosts:
         return Beside(words, said) if on else Beside(FREE, f"off it takes no time; on {said}")
 
     def _part(self, one: Setting) -> tuple[float, float] | None:
-        """What a setting adds to omega^2 and d of the mode; None: it has no part in these."""
+        """The part of a setting in omega^2 and d of the mode; None: it has none."""
         shares, network = self._shares, self._network
         kind = one.name.partition(".")[0]
         if shares is None or network is None:

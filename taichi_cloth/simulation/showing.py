@@ -12,10 +12,10 @@ if TYPE_CHECKING:
 
 
 class Artist(Protocol):
-    """What draws simulations, in the words of `taichi_cloth.ui.showing`."""
+    """The drawer of simulations, in the words of `taichi_cloth.ui.showing`."""
 
     def shown(self, sim: Any, frames: int | None, **how: Any) -> Any:
-        """What stands in a notebook's cell, or the summary of a window."""
+        """A notebook's cell, or the summary of a window."""
 
     def picture(self, sim: Any, **how: Any) -> np.ndarray:
         """The present frame, (h, w, 3) uint8."""
@@ -25,7 +25,7 @@ class Artist(Protocol):
 
 
 class Examiner(Protocol):
-    """What writes reports of simulations, in the words of `taichi_cloth.post_mortem.reporting`."""
+    """The writer of reports, in the words of `taichi_cloth.post_mortem.reporting`."""
 
     def report(
         self, sim: Any, path: str | Path, draw: Callable[[], np.ndarray] | None, seconds: float
@@ -68,13 +68,13 @@ def explained_by(explainer: Callable[[Any], Any]) -> None:
 
 
 def explained(sim: Any) -> Any:
-    """What finds out why a simulation failed in a window."""
+    """The finder of a failure's cause in a window."""
     assert _explainer is not None, "the package's __init__ says who explains"
     return _explainer(sim)
 
 
 def measured(sim: Any) -> Any:
-    """What measures the errors of a simulation when it is asked to."""
+    """The meter of a simulation's errors when it is asked for."""
     assert _measurer is not None, "the package's __init__ says who measures"
     return _measurer(sim)
 
@@ -85,7 +85,7 @@ def _called() -> Artist:
 
 
 class Showing:
-    """What a simulation does to be seen, in notebooks and scripts."""
+    """Showing a simulation, in notebooks and scripts."""
 
     def show(self, frames: int | None = None, **how: Any) -> Any:
         """Show it: in a notebook's cell a picture, or a film of the next `frames`; else a window.

@@ -52,5 +52,5 @@ def are_compiled(storage: Storage, what: str, path: str) -> bool:
 
 
 def compiled_as(kind_of_run: str) -> str:
-    """What they are called in `aside.Tried`, of a kind of run (`Simulation.kind_of_run`)."""
+    """Their name in `aside.Tried`, of a kind of run (`Simulation.kind_of_run`)."""
     return f"{LANES} lanes/{kind_of_run}"

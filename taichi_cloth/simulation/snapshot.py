@@ -34,16 +34,16 @@ class Judged:
         return cls(np.zeros((0, 3), np.int64), np.zeros(0, bool), np.zeros(0, bool))
 
     def _only(self, known: np.ndarray) -> Judged:
-        """What is known of those of the elements, (m,) bool, for which that stays."""
+        """The knowledge of those of the elements, (m,) bool, for which it stays."""
         return Judged(self.elements, self.known & known, self.through & known)
 
     def without(self, gone: np.ndarray) -> Judged:
-        """What is known of elements that have none of some particles, (n,) bool, which go."""
+        """The knowledge of elements that have none of some particles, (n,) bool, which go."""
         left = ~gone[self.elements].any(axis=1)
         return Judged(self.elements[left], self.known[left], self.through[left])
 
     def moved(self, particles: np.ndarray) -> Judged:
-        """What is known once some particles, (n,) bool, were put elsewhere."""
+        """The knowledge that stays once some particles, (n,) bool, were put elsewhere."""
         return self._only(~particles[self.elements].any(axis=1))
 
     def freed(self, particles: np.ndarray) -> Judged:
@@ -90,7 +90,7 @@ class Grips:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Where the particles of a scene are, and which of its springs are broken.
+    """A snapshot of a scene: places of its particles, and which springs are broken.
 
     scene: with all that was spawned, every particle where it began. x, v: (n, dim), where it is
     now. marks: (s, 2) int32, status (ALIVE, BREAKING, GONE) and break step of every spring.

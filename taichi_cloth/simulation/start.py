@@ -1,4 +1,4 @@
-"""Where a run stands, for another simulation to begin from: of any method, step and precision."""
+"""A start: the state of a run, from which one of any method, step and precision begins."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Starts(Part):
     """
 
     def start(self) -> Start:
-        """Where it stands now."""
+        """The state as it stands now."""
         snapshot = with_own_hold(self.storage.snapshot())
         return Start(snapshot, self.time, self.steps, self.storage.held())
 

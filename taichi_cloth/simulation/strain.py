@@ -1,4 +1,4 @@
-"""How far springs are stretched, and how much that is of what they bear."""
+"""The strain of springs, and how much that is of what they bear."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def may_break(length: np.ndarray, springs: Springs) -> np.ndarray:
 
 
 def borne(length: np.ndarray, springs: Springs, full: float = CLOTHS) -> np.ndarray:
-    """How much springs bear of what they can, (s,): 1 where a pull is at its limit, -1 a push.
+    """The load of springs in parts of their limit, (s,): 1 for a pull at it, -1 for a push.
 
     Where springs break of it that is their force in break forces, else their strain in `full`.
     """

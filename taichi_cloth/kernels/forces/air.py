@@ -78,7 +78,7 @@ def _of(world, key):
 
 
 def _pressure(name):
-    """What gives half the density of the air times a coefficient."""
+    """Make a function of half the density of the air times a coefficient."""
 
     def value(world, particles):
         air = _of(world, AIR)

@@ -1,4 +1,4 @@
-"""What a physics term declares: everything that the rest of the program must know of a force.
+"""The declaration of a physics term: all that the program must know of a force.
 
 A term is one file in this folder with a `TERM = Term(...)`. No part has a default: one that a force
 does not have is `Absent("because ...")`, one that is forgotten is an error when the file is loaded.

@@ -1,4 +1,4 @@
-"""What a time-integration method declares: a frozen contract, checked when its file is loaded."""
+"""The declaration of a method: a frozen contract, checked when its file is loaded."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ NEEDS = ("summed_springs", "kept_stiffness", "spring_colours", "particle_colours
 
 @dataclass(frozen=True)
 class Claims:
-    """What a method promises; tests and reports read it and hold the method to it.
+    """The claims of a method; tests and reports read them and hold the method to them.
 
     order: global order of accuracy, at least 1.
     symplectic: whether it is, without drag and dashpots; implicit: whether it solves equations.
@@ -126,7 +126,7 @@ class Method:
                 raise ValueError(f"{name!r} is no name of a field, or names two")
 
     def most_lanes(self, dim):
-        """How many lanes its packs have at most, in so many dimensions; None: any number."""
+        """The most lanes of its packs, in so many dimensions; None: any number."""
         return self.lanes and self.lanes[dim - 2]
 
 

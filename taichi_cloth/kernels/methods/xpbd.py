@@ -64,7 +64,7 @@ def project(spec: ti.template(), state: ti.template(), t, colour):
 
 @ti.func
 def colours(spec: ti.template(), state: ti.template()):
-    """How many colours there are: those of springs, then those of stencils."""
+    """The number of colours: those of springs, then those of stencils."""
     return colours_of_springs(spec, state) + colours_of_stencils(spec, state)
 
 
@@ -160,7 +160,7 @@ def project_stencil(spec: ti.template(), state: ti.template(), m):
 
 @ti.func
 def impulse_change(spec: ti.template(), dt, d, dv, w, numbers: ti.template(), p):
-    """What a visit adds to the impulse p that pulls a spring's ends together.
+    """The change by a visit of the impulse p that pulls a spring's ends together.
 
     d: vectors from one end to the other at the step's start; dv: velocity of the other end relative
     to the first, as the sweeps have it; w: sum of their mobilities [1 / mass]; p: the impulse so

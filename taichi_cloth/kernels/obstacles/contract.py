@@ -1,4 +1,4 @@
-"""What the shape of an obstacle declares: everything that the rest of the program must know of it.
+"""The declaration of an obstacle's shape: all that the program must know of it.
 
 A shape is one file in this folder with a `SHAPE = Shape(...)`. It is described in a frame of its
 own, the *local* one, which the obstacle's pose takes to the world: x = centre + turn q. A distance

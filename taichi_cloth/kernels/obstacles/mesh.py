@@ -125,7 +125,7 @@ def refusal(values):
 
 
 def _lost(values):
-    """What is wrong with a mesh whose grid is too coarse for its thin parts."""
+    """A note on a mesh whose grid is too coarse for its thin parts."""
     fit = _fitted(*_of_fit(values))
     if fit.lost is None:
         return None
@@ -274,12 +274,12 @@ def _finest(size):
 
 
 def _room(size, cell, margin):
-    """What a grid leaves free around a mesh of this size (3,)."""
+    """The margin of a grid around a mesh of this size (3,)."""
     return max((BAND + 0.5) * cell, min(margin + cell, float(size.max())))
 
 
 def _counts(size, cell, margin):
-    """How many nodes a grid around a mesh of this size (3,) has along each axis, (3,)."""
+    """The nodes along each axis of a grid around a mesh of this size (3,), (3,)."""
     room = _room(size, cell, margin)
     return np.ceil((size + 2.0 * room) / cell).astype(np.int64) + 1
 

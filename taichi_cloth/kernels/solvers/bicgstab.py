@@ -103,7 +103,7 @@ def _step(spec: ti.template(), state: ti.template(), i):
 
 @ti.func
 def _sums(spec: ti.template(), state: ti.template(), i):
-    """What pack i adds to the sums of a half.
+    """The terms of pack i in the sums of a half.
 
     CURVATURE is the product of `direction` with A and itself. Preconditioned are BY_SHADOW, MIXED
     and OF_PRODUCT, of the product (that of A and `direction`) with the shadow, the residual and

@@ -34,7 +34,7 @@ def unknowns(spec):
 
 @ti.func
 def entry(spec: ti.template(), state: ti.template(), row, column):
-    """Where the number at `row` and `column` of the coarse matrix is, before it is inverted."""
+    """The place of a number of the coarse matrix, before it is inverted."""
     return (_half(spec, state, 0) + row) * ti.static(unknowns(spec)) + column
 
 
@@ -56,7 +56,7 @@ def clear_rows(spec: ti.template(), state: ti.template(), b):
 
 @ti.func
 def part_of_springs(spec: ti.template(), state: ti.template(), axis, across):
-    """What springs add to A on their ends' diagonals, and beside them (xy, yz, zx).
+    """The terms of springs in A on their ends' diagonals, and beside them (xy, yz, zx).
 
     axis, across: of their stiffness (`laws.stiffness_axis`), of which what pulls counts.
     """
@@ -68,7 +68,7 @@ def part_of_springs(spec: ti.template(), state: ti.template(), axis, across):
 
 @ti.func
 def _pulling_part(axis, across):
-    """What springs' stiffness matrices (`laws.stiffness_axis`) are without negative stiffness.
+    """Stiffness matrices of springs (`laws.stiffness_axis`) without negative stiffness.
 
     Returns by how much what `axis` stands for is multiplied, and the stiffness across: without a
     negative one, the stiffness along the axis stays what it is.
@@ -154,7 +154,7 @@ def _eliminate(spec: ti.template(), state: ti.template(), pair, k, n):
 
 @ti.func
 def _taken(spec: ti.template(), state: ti.template(), j, k):
-    """How much of each row of pack k of unknowns row j gets, as they are taken out of it."""
+    """The share of each row of pack k of unknowns that row j gets, as they are taken out."""
     factors = read(spec, state.pivots, j % spec.lanes)
     if j // spec.lanes != k:
         mine = read(spec, state.coarse, _pack_of(spec, _half(spec, state, k) + j) + k)
@@ -174,7 +174,7 @@ def _half(spec: ti.template(), state: ti.template(), k):
 
 
 def _pitch(spec):
-    """How many packs a row of the coarse matrix has room for."""
+    """The packs that a row of the coarse matrix has room for."""
     return unknowns(spec) // spec.lanes
 
 
@@ -191,7 +191,7 @@ def clear_downhill(spec: ti.template(), state: ti.template(), b):
 
 @ti.func
 def _part_of_row(spec: ti.template(), state: ti.template(), row, b):
-    """What a row of the inverse gives coarse pack b along each axis."""
+    """The product of a row of the inverse with coarse pack b, along each axis."""
     at = _pack_of(spec, row) + b * spec.dim
     return vectors_of(
         spec, [read(spec, state.coarse, at + axis) for axis in ti.static(range(spec.dim))]

@@ -43,7 +43,7 @@ from taichi_cloth.kernels.stencils import line_step
 
 @ti.func
 def colours_of_springs(spec: ti.template(), state: ti.template()):
-    """How many colours springs have."""
+    """The number of colours of springs."""
     if ti.static(spec.springs):
         return 2 * spec.kinds + state.n_colours[None]
     else:
@@ -183,13 +183,13 @@ def _visit_rows(spec: ti.template(), state: ti.template(), t, s, parity, visit: 
 
 
 def colours_of_lines(spec):
-    """How many colours stencils along lines have: those of a kind take turns by three."""
+    """The number of colours of stencils along lines: those of a kind take turns by three."""
     return 3 * spec.line_kinds
 
 
 @ti.func
 def colours_of_stencils(spec: ti.template(), state: ti.template()):
-    """How many colours stencils have."""
+    """The number of colours of stencils."""
     if ti.static(spec.stencils):
         return ti.static(colours_of_lines(spec)) + state.n_stencil_colours[None]
     else:
@@ -269,7 +269,7 @@ def _visit_rows_of_lines(
 
 
 def turns(spec):
-    """How many colours particles on grids have.
+    """The number of colours of particles on grids.
 
     With several lanes only rows have different ones, because a thread goes through the packs of a
     row one after the other.
@@ -281,7 +281,7 @@ def turns(spec):
 
 @ti.func
 def colours_of_particles(spec: ti.template(), state: ti.template()):
-    """How many colours particles have."""
+    """The number of colours of particles."""
     if ti.static(spec.springs):
         return ti.static(turns(spec)) + state.n_colours[None]
     else:

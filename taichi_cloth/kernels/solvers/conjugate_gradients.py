@@ -97,7 +97,7 @@ def _step(spec: ti.template(), state: ti.template(), i):
 
 @ti.func
 def _sums(spec: ti.template(), state: ti.template(), i):
-    """What pack i adds to the sums of a step.
+    """The terms of pack i in the sums of a step.
 
     CURVATURE is the product of `direction` with A and itself; then, preconditioned, ENERGY is that
     of the residual with itself, MIXED of the residual with the product of A and `direction`, and
@@ -109,7 +109,7 @@ def _sums(spec: ti.template(), state: ti.template(), i):
 
 
 def _changed(state):
-    """What a step changes of what neighbours read."""
+    """The changes by a step of what neighbours read."""
     return (state.direction,)
 
 

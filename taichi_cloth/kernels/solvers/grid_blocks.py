@@ -71,7 +71,7 @@ def _lay_out(spec: ti.template(), state: ti.template(), _):
 
 @ti.func
 def _rows_of_blocks(spec: ti.template(), state: ti.template(), rows, width, columns):
-    """How many rows of blocks a grid of so many rows and packs in each has: see `BLOCKS_PER_ROOT`.
+    """The rows of blocks of a grid of so many rows and packs in each: see `BLOCKS_PER_ROOT`.
 
     columns: of coarse packs in each row of blocks.
     """
@@ -209,7 +209,7 @@ def _add_tied(spec: ti.template(), state: ti.template(), b, on, beside, to, shif
 
 @ti.func
 def _own_part(spec: ti.template(), state: ti.template(), at):
-    """What the links at `at` add to A on their ends' diagonals, and beside them."""
+    """The terms of the links at `at` in A on their ends' diagonals, and beside them."""
     axis, across = read(spec, state.link_axis, at), read(spec, state.link_across, at)
     return part_of_springs(spec, state, axis, across)
 

@@ -1,4 +1,4 @@
-"""What is kept of the links of grids (`newton_matrix.keep_springs`), as whole rows read it."""
+"""Numbers kept of the links of grids (`newton_matrix.keep_springs`), as whole rows read them."""
 
 import taichi as ti
 

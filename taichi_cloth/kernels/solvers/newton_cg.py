@@ -334,7 +334,7 @@ def _force_between(
 
 
 def _shifted(state):
-    """What a shift of the iterate changes of what neighbours read."""
+    """The changes by a shift of the iterate of what neighbours read."""
     return (*state.haloed_motion, state.moved)
 
 
@@ -368,7 +368,7 @@ def _residual_more(spec: ti.template(), state: ti.template(), slot, f):
 
 @ti.func
 def _numbers(spec: ti.template(), state: ti.template(), i):
-    """What an evaluation joins of pack i over all packs, for `_judge`.
+    """The terms of pack i that an evaluation joins over all packs, for `_judge`.
 
     - LENGTHS: the residual that rounding of lengths, over all springs, can make up; w is 0 if fixed
     - GAINED: the acceleration that gives the pack its gain

@@ -105,7 +105,7 @@ def _stiffness(spec: ti.template(), state: ti.template(), d, numbers: ti.templat
 def _product_between(
     spec: ti.template(), state: ti.template(), value: ti.template(), i, j, kept: ti.template()
 ):
-    """What i gets from the spring to j in the product of K and dashpots with `direction`."""
+    """The share of i from the spring to j in the product of K and dashpots with `direction`."""
     moved = value(spec, state.direction, j) - value(spec, state.direction, i)
     return laws.stiffness_product(moved, kept[0], kept[1])
 

@@ -183,7 +183,7 @@ def mass_of(spec: ti.template(), state: ti.template(), i):
 
 @ti.func
 def own_diagonal(spec: ti.template(), state: ti.template(), i):
-    """What stands on the diagonal of A for pack i without its springs: masses, holds and drag."""
+    """The diagonal of A for pack i without its springs: masses, holds and drag."""
     tau, diagonal = state.tau[None], mass_of(spec, state, i)
     if ti.static(binds(spec)):
         diagonal = diagonal + tau * tau * stiffness_of(spec, state, read, i)
@@ -248,7 +248,7 @@ def _residual_within(state: ti.template(), tolerance, part_of_load):
 
 @ti.func
 def _part_of_load(state: ti.template()):
-    """How many times its load a stage may leave."""
+    """The residual that a stage may leave, in parts of its load."""
     return SOLVED * roughness(state) * roughness(state)
 
 
@@ -263,7 +263,7 @@ def may_be_rough(of):
 
 @ti.func
 def roughness(state: ti.template()):
-    """How many times rougher than by ROUGH solutions are wanted; 1: they are not rough."""
+    """The factor by which solutions are rougher than by ROUGH; 1: they are not rough."""
     if ti.static(may_be_rough(state)):
         return ti.max(state.tolerance[None] / ti.cast(ROUGH, state.real), 1.0)
     else:
@@ -281,7 +281,7 @@ def rounding_accepted(state: ti.template()):
 
 @ti.func
 def outcome_of_rounding(state: ti.template()):
-    """What came of a stage whose residual rounding does not let become smaller."""
+    """The outcome of a stage whose residual rounding does not let become smaller."""
     load = state.load[None]
     hidden = state.residual_max[None] > HIDING * load or state.rounding[None] > MOST_HIDING * load
     return ti.select(state.least_scale[None] > 0.0 and hidden, HIDDEN, ROUNDED)

@@ -1,4 +1,4 @@
-"""What a load works out of the size of a world: the grid of collisions, and where walls are far."""
+"""Boxes by the size of a world: the grid of collisions, and where walls are far."""
 
 from __future__ import annotations
 

@@ -64,7 +64,7 @@ class Container:
 def with_room_to_spare(
     needed: Capacity, factor: int, *, takes_clicks: bool, thick: bool
 ) -> Capacity:
-    """What is made where `needed` is needed.
+    """Make a container for what is `needed`.
 
     factor: how many times as much of what clicks may add. takes_clicks: whether they may add any.
     thick: whether cloths have a thickness.

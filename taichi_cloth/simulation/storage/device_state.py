@@ -28,7 +28,7 @@ from taichi_cloth.simulation.storage.upload import Upload
 
 @dataclass(frozen=True)
 class Loaded:
-    """What the last load made.
+    """The products of the last load.
 
     number: which load of its state it was, `of`. placements, solids: those of the scene loaded.
     """
@@ -94,7 +94,7 @@ class DeviceState:
 
     @property
     def device(self) -> Device:
-        """What it is on."""
+        """Its device."""
         return self._launcher.device
 
     @property
@@ -114,12 +114,12 @@ class DeviceState:
 
     @property
     def layout(self) -> Layout:
-        """Where particles and springs are."""
+        """The placement of particles and springs."""
         return self._now.placement.layout
 
     @property
     def specialization(self) -> Specialization:
-        """What is compiled to advance frames."""
+        """The specialization that advances frames."""
         return self._now.specialization
 
     @property
@@ -149,7 +149,7 @@ class DeviceState:
             self._launch(readback.read_vectors, of, out)
 
     def through(self) -> int:
-        """How many of the scene's elements go through an obstacle since they were put there."""
+        """The number of elements that go through an obstacle since they were put there."""
         return int(self._taken.judged.through.sum())
 
     def carried(self) -> np.ndarray:

@@ -18,7 +18,7 @@ from taichi_cloth.simulation.storage.device_state import DeviceState
 
 
 class Download(DeviceState):
-    """What is read of a state on the device, all in the order of particles and springs."""
+    """Reading of a state on the device, all in the order of particles and springs."""
 
     def snapshot(self) -> Snapshot:
         """The state as it is now."""
@@ -131,7 +131,7 @@ class Download(DeviceState):
         return work
 
     def take_unsettled(self) -> np.ndarray:
-        """What `unsettled` and `unsettled_faces` say, (2,), which are 0 from then on."""
+        """Take the counts of `unsettled` and `unsettled_faces`, (2,), which are 0 from then on."""
         counts = np.array([self.unsettled(), self.unsettled_faces()])
         if counts[0]:
             self.state.unsettled[None] = 0
@@ -140,11 +140,11 @@ class Download(DeviceState):
         return counts
 
     def unsettled(self) -> int:
-        """How many steps ended with pairs that overlap, since the last load or `take_unsettled`."""
+        """The steps that ended with pairs that overlap, since the last load or `take_unsettled`."""
         return int(self.state.unsettled[None]) if self.specialization.resting else 0
 
     def unsettled_faces(self) -> int:
-        """How many steps ended with faces inside obstacles, since the last load or
+        """The steps that ended with faces inside obstacles, since the last load or
         `take_unsettled`."""
         return int(self.state.faces_unsettled[None]) if self.specialization.faces else 0
 
@@ -167,7 +167,7 @@ class Download(DeviceState):
         return energy, balance, None if first == contact_account.NEVER else first
 
     def solution(self) -> diagnostics.Solution:
-        """How the last step was solved, by a method that solves to a tolerance."""
+        """The solution of the last step, by a method that solves to a tolerance."""
         names = "residual_max", "residual_rms", "scale", "directions", "sweeps"
         numbers = {name: getattr(self.state, name)[None] for name in names}
         outcome = int(self.state.outcome[None])

@@ -1,4 +1,4 @@
-"""What all parts of an upload share: where rows of numbers go, and what does not fit there."""
+"""Parts that all uploads share: where rows of numbers go, and what does not fit there."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from taichi_cloth.simulation.storage.placement import Placement, Placements
 
 @dataclass(frozen=True)
 class Filling:
-    """Where a snapshot goes: `state`, whose fields are of `spec`.
+    """The target of a snapshot: `state`, whose fields are of `spec`.
 
     placements: of its scene; placement: the one that is used. solids: what is in its way.
     needs: what the method asks of the host (`kernels.methods`). real: type of the device's numbers.
@@ -39,7 +39,7 @@ class Filling:
 
     @cached_property
     def _to(self) -> Any:
-        """What takes rows of numbers to the fields."""
+        """The carrier of rows of numbers to the fields."""
         return Transfer(self.state)
 
     def _bring(self) -> None:
@@ -54,7 +54,7 @@ class Filling:
         self._to.scatter(self.spec, field, kinds * packs, self._index(places), values)
 
     def _index(self, places: np.ndarray) -> np.ndarray:
-        """Where links or lines at places (m, 2) are in fields by kind and pack, (m,)."""
+        """Places of links or lines (m, 2) in fields by kind and pack, (m,)."""
         kind, slot = places.T.astype(np.int64)
         index: np.ndarray = kind * self.state.packs * self.spec.lanes + slot
         return index

@@ -19,7 +19,7 @@ from taichi_cloth.simulation.storage.placement import Placement
 
 @dataclass(frozen=True)
 class Kept:
-    """What `Storage` had on the device at one moment.
+    """A copy of what `Storage` had on the device at one moment.
 
     taken: the state that was loaded last: the scene of then, and its springs' marks of then.
     fields: all that is kept from step to step, by the names of `kernels.state.State`, flat.
@@ -39,7 +39,7 @@ class Kept:
     loaded: Any = None
 
     def __getstate__(self) -> dict[str, Any]:
-        """What is pickled: the load is in the memory of this process."""
+        """Pickle it without the load, which is in the memory of this process."""
         return vars(self) | {"loaded": None}
 
 
@@ -106,7 +106,7 @@ class KeptFields:
     def _places(
         self, placement: Placement, patches: int
     ) -> tuple[dict[str, slice], np.ndarray, np.ndarray]:
-        """Where each field is in the two arrays, which get the size that they need.
+        """The place of each field in the two arrays, which get the size that they need.
 
         Also (groups, 2) and (fields,), as `persistence.copy_kept` takes them.
         """

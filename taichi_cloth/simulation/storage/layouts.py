@@ -1,4 +1,4 @@
-"""Where particles and springs are stored: on a graph, or on regular grids in packs (NumPy).
+"""Layouts of particles and springs: on a graph, or on regular grids in packs (NumPy).
 
 A pack holds several particles side by side, its width in number, each in a slot of its own.
 `kernels/packs.py` draws how a grid lies in its packs. On a graph, packs hold one particle each.
@@ -33,7 +33,7 @@ SAME = 1e-11
 
 @dataclass(frozen=True)
 class Layout:
-    """Where n particles and s springs are stored.
+    """The layout of n particles and s springs.
 
     lanes: the width of packs, in particles.
     links: offsets (columns, rows) of the kinds of link, empty on a graph.

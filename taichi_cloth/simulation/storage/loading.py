@@ -214,7 +214,7 @@ class Loading(DeviceState):
         )
 
     def _needed(self, placement: Placement) -> Specialization:
-        """What the state that was taken needs, in a placement."""
+        """Requirements of the state that was taken, in a placement."""
         return requirements.specialization(
             self._taken,
             self.solids,

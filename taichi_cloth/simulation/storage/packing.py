@@ -33,7 +33,7 @@ class PackedRows:
 
     @property
     def packs(self) -> int:
-        """How many there are, without copies."""
+        """Their number, without copies."""
         return len(self.start) - 1
 
     @property

@@ -1,4 +1,4 @@
-"""Where the particles and springs of a scene are stored, in each topology that can hold it."""
+"""Placements of a scene's particles and springs, in each topology that can hold it."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ class Placements:
 
 
 def _halvings(particle_count: int) -> int:
-    """How often particles are cut in two to make blocks of them.
+    """The times that particles are cut in two to make blocks of them.
 
     There are half as many as the root of their number, to the nearest power of two.
     """

@@ -1,4 +1,4 @@
-"""What a scene needs on the device: what is compiled for it, and room for how much."""
+"""Requirements of a scene on the device: what is compiled for it, and room for how much."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def specialization(
     needs: Collection[str],
     accounts_contacts: bool,
 ) -> Specialization:
-    """What a state needs in a placement, with parallel loops in one launch per step.
+    """Requirements of a state in a placement, with parallel loops in one launch per step.
 
     solids: what is in the way. topologies: says which ones the scene can be stored in, and is only
     asked where that matters. needs: what the method asks of the host. accounts_contacts: whether

@@ -104,7 +104,7 @@ class SpringFilling(Filling):
         self._springs_at("spring", numbers)
 
     def _colour_starts(self, colours: np.ndarray) -> None:
-        """Where each of the sorted colours of springs, or of particles, begins."""
+        """The begin of each of the sorted colours of springs, or of particles."""
         start = _starts(colours)
         self._to.put(self.state.n_colours, len(start) - 1)
         self._to.put(self.state.colour_start, start)
@@ -123,7 +123,7 @@ class SpringFilling(Filling):
         self._to.scatter(self.spec, self.state.own, layout.n_packs, near[order], apart, 1)
 
     def _break_marks(self, springs: Springs, indices: np.ndarray) -> None:
-        """What fracture needs; indices: (s, 6), ends, half-springs, status and break step."""
+        """Fill in the needs of fracture; indices: (s, 6), ends, half-springs, status, break."""
         state = self.state
         self._to.put(state.n_springs, len(springs))
         self._to.put(state.ends, indices[:, :2])
@@ -147,7 +147,7 @@ class SpringFilling(Filling):
     # --- stencils --------------------------------------------------------------------------
 
     def _stencil_numbers(self, mine: np.ndarray) -> np.ndarray:
-        """What multiplies the curvature vectors of some stencils, (m,); 0 where one is gone.
+        """Factors of the curvature vectors of some stencils, (m,); 0 where one is gone.
 
         Along lines the vector is the second difference itself.
         """
@@ -161,7 +161,7 @@ class SpringFilling(Filling):
         return numbers
 
     def _parts_at(self, slots: int) -> np.ndarray:
-        """How many parts of listed stencils the particle in each slot has, (slots,)."""
+        """The parts of listed stencils of the particle in each slot, (slots,)."""
         listed = self.snapshot.scene.stencils.select(self.placement.graph_stencils)
         return np.bincount(self.placement.layout.slot[listed.particle], minlength=slots)
 
@@ -243,6 +243,6 @@ class SpringFilling(Filling):
 
 
 def _starts(colours: np.ndarray) -> np.ndarray:
-    """Where each colour, or block, that occurs begins in a sorted array, and the array's end."""
+    """The begin of each colour, or block, that occurs in a sorted array, and the array's end."""
     start = np.flatnonzero(np.diff(colours, prepend=-1))
     return np.append(start, len(colours)).astype(np.int32)

@@ -220,7 +220,7 @@ class Storage(Loading, Download, Handling):
 
 
 def _difference(here: Specialization, there: Specialization) -> str:
-    """What differs between two specializations, in words."""
+    """The difference of two specializations, in words."""
     words = [
         f"{name} {value}, here {getattr(here, name)}"
         for name, value in vars(there).items()

@@ -1,4 +1,4 @@
-"""What is summed up of a scene for each of its particles (NumPy)."""
+"""Sums over a scene for each of its particles (NumPy)."""
 
 import numpy as np
 

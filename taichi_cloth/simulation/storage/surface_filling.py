@@ -95,7 +95,7 @@ class SurfaceFilling(Filling):
     # --- obstacles -------------------------------------------------------------------------
 
     def _obstacles(self) -> None:
-        """What is in the way, a row each, and the nodes of their grids one after the other."""
+        """Obstacles, a row each, and the nodes of their grids one after the other."""
         counts, found, nodes = [], [], [np.zeros((1, 4))]
         sharp = met_by_faces(self.snapshot.scene, self.solids)
         first = 0

@@ -90,7 +90,7 @@ class Surfaces:
 
 
 def free_with(owner: object, fields: Any, device: Device) -> weakref.finalize:
-    """What gives the memory of fields back, by itself when nobody holds `owner` any more.
+    """A finalizer that gives the memory of fields back when nobody holds `owner` any more.
 
     Taichi has room for 512 trees of fields.
     """

@@ -58,7 +58,7 @@ class Upload(SpringFilling, SurfaceFilling):
         self._bring()
 
     def _of_forces(self, names: Collection[str]) -> dict[str, Any]:
-        """What the forces put into those of their fields that have these names.
+        """Contents that the forces put into those of their fields that have these names.
 
         InputError where one does not fit the device's precision.
         """
@@ -134,7 +134,7 @@ class Upload(SpringFilling, SurfaceFilling):
                     self._to.renew_halos(self.spec, field, self.placement.layout.grid)
 
     def _bending(self) -> None:
-        """What stencils pull with, which depends on what is fixed."""
+        """The weights of stencils, which depend on what is fixed."""
         if self.spec.stencils:
             k = self._stencil_numbers(self.placement.graph_stencils)
             self._to.put(self.state.stencil_k, k)
@@ -205,7 +205,7 @@ class Upload(SpringFilling, SurfaceFilling):
 
 
 def _low(values: np.ndarray, real: Real) -> np.ndarray:
-    """What the device's precision cannot hold of values."""
+    """The low parts of values, which the device's precision cannot hold."""
     with np.errstate(all="ignore"):
         low = values - values.astype(real)
     return np.where(np.isfinite(low), low, 0.0)  # `values` themselves are refused
