@@ -70,7 +70,7 @@ class Device:
 
 
 class _Start(NamedTuple):
-    """What a start has left. program: Taichi's own, as long as that is there. runtime: has the one
+    """The rest of a start. program: Taichi's own, as long as that is there. runtime: has the one
     that runs now. thread: in which it was.
     """
 

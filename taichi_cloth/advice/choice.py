@@ -24,7 +24,7 @@ class TimeOver(Exception):
 
 @dataclass(frozen=True)
 class Target:
-    """What is wanted: an error of each second, a frame's time in seconds, or neither; a
+    """The goal of a choice: an error of each second, a frame's time in seconds, or neither; a
     penetration, alone or besides.
 
     error: in world units, or in parts of the second's motion where `relative`. penetration: the
@@ -53,7 +53,7 @@ class Target:
         return " ".join(words)
 
     def remedy(self) -> str:
-        """What to ask for where nothing holds."""
+        """Advice where nothing holds."""
         if self.frame_seconds is not None:
             return "ask for a longer --frame-time, or measure while the machine does nothing else"
         larger = "--error" if self.error is not None else "--penetration"
@@ -76,7 +76,7 @@ class Target:
 
 @dataclass(frozen=True)
 class Figures:
-    """What a setting showed: the error of its worst second (world units, and in parts of its
+    """The showing of a setting: the error of its worst second (world units, and in parts of its
     motion); a frame's time in seconds; its deepest penetration (world units), None where nothing
     can touch; of how many seconds the error is known, and of how many it is not.
     """

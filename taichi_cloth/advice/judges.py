@@ -133,7 +133,7 @@ class Judges:
         error: float,
         relative: bool,
     ) -> list[dict[str, Any]]:
-        """What each of some seconds of a scene asks for, up to the clock's end: in one process.
+        """The demands of some seconds of a scene, up to the clock's end: in one process.
 
         trials: of a second, after what was found in those before. error, relative: as `within` and
         `relative` of `Judge.survey`. Fewer seconds where time ends, or the process.
@@ -260,7 +260,7 @@ def _is_sure(second: Second | None) -> bool:
 
 
 def second_of(verdict: Verdict) -> Second:
-    """What a verdict says of its second: no error where that is not sure.
+    """A verdict's numbers on its second: no error where that is not sure.
 
     Where the error is that of its first part alone, `trouble` says why.
     """

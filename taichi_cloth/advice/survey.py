@@ -64,7 +64,7 @@ def _is_surveyed(method: str) -> bool:
 
 @dataclass(frozen=True)
 class Survey:
-    """What seconds said: by method the substeps that should do, and whether these were seen to.
+    """A survey of seconds: by method the substeps that should do, and whether they were seen to.
 
     seconds: of how many there are errors; of: how many were looked at. uneven: how many times as
     many evaluations of forces one of them asks for as another.
@@ -77,7 +77,7 @@ class Survey:
 
     @classmethod
     def of_seconds(cls, found: Sequence[Mapping[str, Any]]) -> Survey:
-        """What seconds come to, as `Judge.survey` returns each.
+        """Sum seconds up, as `Judge.survey` returns each.
 
         A method takes the most that one of them asks for; where none of the tries in a second is
         within, twice the finest.

@@ -76,7 +76,7 @@ class Attempt:
     held: bool
 
     def describe(self) -> str:
-        """What the confirming run showed."""
+        """The result of the confirming run."""
         if is_measured(self.confirming):
             return Figures.of(self.confirming).describe()
         return self.confirming.status if not self.confirming.ok else "its error is not known"
@@ -128,7 +128,7 @@ def main(source: SceneSource, options: TuneOptions) -> int:
 
 @dataclass(frozen=True)
 class _Tuning:
-    """What is chosen from, by what, and how.
+    """A plan of a choice: its candidates, its goal, and its way.
 
     options: with the frames of the horizon.
     """
@@ -221,7 +221,7 @@ class _Tuning:
     def _measured(
         self, options: TuneOptions, scene: Scene, chosen: Sequence[Setting], how: RunConditions
     ) -> Iterator[Result]:
-        """What a study found, whole."""
+        """The result of a study, whole."""
         given = self.source, options, scene, list(chosen), how, self.journal, self.elsewhere
         with command.measured(*given, closed=False, quiet=options.json) as result:
             if result.interrupted:
@@ -435,7 +435,7 @@ def kicked(scene: Scene, v: np.ndarray, seed: int) -> Scene:
 
 
 def _as_json(source: SceneSource, target: Target, tried: Sequence[Attempt]) -> dict[str, Any]:
-    """What was chosen, nulls where nothing held, and all that was tried for it."""
+    """The result of a choice, nulls where nothing held, and all that was tried for it."""
     last = tried[-1]
     row = last.row
     told = [_attempt_as_json(attempt) for attempt in tried]

@@ -1,4 +1,4 @@
-"""What ``--beside`` says: the settings in which a second run of a scene differs from the first."""
+"""Words of ``--beside``: the settings in which a second run of a scene differs from the first."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Given:
 
 
 def read(text: str) -> Given:
-    """What a text such as 'method=rk4,substeps=8' says. Raises InputError in one line.
+    """Read a text such as 'method=rk4,substeps=8'. Raises InputError in one line.
 
     The names and values of a scene's settings are looked at with the scene (`value_of`).
     """
@@ -90,7 +90,7 @@ def _check_method(name: str | None) -> None:
 
 
 def steps_in(frame: float, longest: float) -> int:
-    """How many steps a frame of some time has if none may be longer than that."""
+    """The steps of a frame of some time if none may be longer than that."""
     steps = frame / longest
     if steps > MOST_SUBSTEPS:
         raise InputError(

@@ -43,7 +43,7 @@ class Own:
 
     @property
     def names(self) -> set[str]:
-        """What it changes, by the names of `Simulation.set`."""
+        """Its changes, by the names of `Simulation.set`."""
         return set(self.changes) - set(SELECTIONS)
 
 
@@ -142,7 +142,7 @@ class Twin(Listener):
                 raise
 
     def act_refused(self, name: str, args: tuple[Any, ...], given: Mapping[str, Any]) -> None:
-        """What the first one did not do is not done here either."""
+        """Pass over what the first one did not do either."""
         self._go_back()
 
     def after_act(self, name: str, args: tuple[Any, ...], given: Mapping[str, Any]) -> None:

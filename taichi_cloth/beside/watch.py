@@ -1,4 +1,4 @@
-"""How far two runs that go along with each other are apart, and what differs first in them."""
+"""The distance of two runs that go along with each other, and their first difference."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ KEPT = 1200  # frames that are known: those of the graph, also where one goes ba
 
 @dataclass(frozen=True)
 class Apart:
-    """How far two runs are apart at the end of a frame.
+    """The distance of two runs at the end of a frame.
 
     frame, time: which. rms, max: root of the mean square, and largest, distance of a free particle
     [length]; farthest: the particle of the latter. count: how many are measured. scale: what parts
@@ -101,7 +101,7 @@ class Watch:
 
     @property
     def now(self) -> Apart | None:
-        """How far they are apart now; None: at their start, or one of them stands still."""
+        """Their distance now; None: at their start, or one of them stands still."""
         return self._rows.get(self.frame)
 
     @property
@@ -116,13 +116,13 @@ class Watch:
 
     @property
     def scale(self) -> float:
-        """What parts are of [length]: the largest displacement in the second run, or its box."""
+        """The scale of parts [length]: the largest displacement in the second run, or its box."""
         last = self._latest
         return last.scale if last and last.scale > 0 else self._diagonal()
 
     @property
     def scale_is(self) -> str:
-        """What that is, in words."""
+        """Its words."""
         last = self._latest
         moved = last is not None and last.scale > 0
         return "the largest displacement" if moved else "the world's diagonal, as nothing moves"
@@ -193,7 +193,7 @@ class Watch:
         return known[1]
 
     def _measured(self, places: list[np.ndarray], alive: list[np.ndarray]) -> Apart:
-        """How far both are apart where they are now; alive: which springs of each hold."""
+        """The distances of both as they are now; alive: which springs of each hold."""
         (x, y), first = places, self._runs[0]
         if len(y) > len(self._start):  # those that came: they begin where they are seen first
             self._start = np.concatenate([self._start, y[len(self._start) :]])

@@ -40,7 +40,7 @@ TYPICAL = 25.0  # percentile of the times of a scene with some substeps: others 
 
 @dataclass(frozen=True)
 class Frame:
-    """What a frame took, seconds. rest: all but to simulate."""
+    """The time of a frame, seconds. rest: all but to simulate."""
 
     substeps: int
     simulate: float
@@ -53,7 +53,7 @@ class Frame:
 
 
 class FrameTimes:
-    """What the last frames took, and what they would with other substeps.
+    """Times of the last frames, and with other substeps.
 
     budget: seconds of a frame.
     """
@@ -98,7 +98,7 @@ class FrameTimes:
         return float(np.clip(b, FLATTEST, 1.0)), True
 
     def would_take(self, substeps: int) -> np.ndarray:
-        """What the last frames would have taken with other substeps, seconds (k,)."""
+        """Times of the last frames with other substeps, seconds (k,)."""
         offset, each, besides = self._costs = self._costs or self._of_frames()
         taken: np.ndarray = each * (offset + substeps) + besides
         return taken
@@ -133,7 +133,7 @@ class FrameTimes:
 
     @property
     def usual_rest(self) -> float:
-        """What half of the last frames took at most besides to simulate, seconds."""
+        """The most that half of the last frames took besides to simulate, seconds."""
         return float(np.median([f.rest for f in self._frames]))
 
     def in_time(self, substeps: int, least: int, part: float = 1.0) -> float:
@@ -220,7 +220,7 @@ class FrameTimes:
         return "fewer are not stable" if least > 1 else "there are no fewer"
 
     def _usual(self, substeps: int) -> float:
-        """What half of the frames would take at most with so many substeps, seconds."""
+        """The most that half of the frames would take with so many substeps, seconds."""
         return float(np.median(self.would_take(substeps)))
 
     def _barred(self, n: int) -> bool:

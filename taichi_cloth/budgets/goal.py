@@ -1,4 +1,4 @@
-"""What a run is to hold: a frame's time, or an error of each second."""
+"""The goal of a budget: a frame's time, or an error of each second."""
 
 from __future__ import annotations
 

@@ -84,7 +84,7 @@ class Keeper:
         self._solved_so = self._sim.frame  # since which frame
 
     def _run(self) -> tuple[str, float]:
-        """What the measured is of: with others it says nothing."""
+        """A key of the measured: with another one it says nothing."""
         return self._sim.method, self._sim.dt
 
     def frame(self, simulate: float, rest: float) -> None:
@@ -260,7 +260,7 @@ class Keeper:
         self._due = self._judged = True
 
     def _growth(self, verdict: Verdict) -> float:
-        """How many times as large a small disturbance got in a second, or may get in the next."""
+        """The growth of a small disturbance in a second, or at most in the next."""
         seen = math.exp((verdict.growth or 0.0) * verdict.judged)
         scene = self._sim.scene
         extent = float(np.linalg.norm(np.ptp(scene.particles.position, axis=0)))
@@ -318,7 +318,7 @@ class StableSteps:
         self._resolved: tuple[tuple[int, float], int] | None = None  # of what, and that
 
     def _now(self) -> tuple[tuple[object, ...], tuple[object, ...]]:
-        """What the limit depends on, beside masses and what is fixed: values, and tables, which are
+        """Inputs of the limit, beside masses and what is fixed: values, and tables, which are
         others where they are changed. What breaks widens it.
         """
         sim, scene = self._sim, self._sim.storage.scene

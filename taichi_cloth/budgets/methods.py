@@ -81,7 +81,7 @@ class Found:
 
 
 class Rivals:
-    """What other methods would have done in the last seconds of a present one.
+    """Other methods in the last seconds of a present one.
 
     present: its name. goal: the error that is held; None: a frame's time is. changes: that there
     were before, each of which makes the next one wait for longer.
@@ -99,7 +99,7 @@ class Rivals:
     def trials(
         self, now: int, limits: Limits, rivals: Sequence[Rival], *, missed: bool = False
     ) -> list[Trial]:
-        """What the window that ends, which had `now` substeps, is to be made again with.
+        """The setting with which the window that ends, of `now` substeps, is made again.
 
         limits: of the present method, which is tried, too: where an error is held with finer and
         coarser steps; else with half as long ones, for the order that it shows. missed: whether the
@@ -155,7 +155,7 @@ class Rivals:
         self._refused.add(name)
 
     def _seconds(self, pressed: bool = False) -> int:
-        """How many have to say that another method is better.
+        """The number that must say that another method is better.
 
         pressed: whether the present one misses the error, or is to take far more substeps.
         """
@@ -163,7 +163,7 @@ class Rivals:
         return min((1 if pressed else ENOUGH) << self.changes, most)
 
     def _seen(self, name: str) -> int:
-        """How many seconds of a method say something."""
+        """The seconds of a method that say something."""
         return len(self._ratios[name]) if self._goal is None else len(self._errors[name].sure)
 
     def better(
@@ -190,7 +190,7 @@ class Rivals:
     def _by_error(
         self, rival: Rival, errors: SecondErrors, own: SecondErrors, now: int, limits: Limits
     ) -> tuple[float, Found] | None:
-        """How many times as cheap a method meets the error, and with how many substeps."""
+        """The factor by which a method is cheaper at the error, and with how many substeps."""
         needed, worth = own.needed, errors.worth(math.inf)
         if needed is None or worth is None or not all(map(errors.met, errors.sure)):
             return None
@@ -219,7 +219,7 @@ class Rivals:
         return 1 / mostly, Found(rival.name, there, why, errors)
 
     def said(self, rivals: Sequence[Rival]) -> str:
-        """What the others would have done, in words; "": none was tried."""
+        """The others in words; "": none was tried."""
         words, seconds = [], 0
         for rival in rivals:
             errors, ratios = self._errors.get(rival.name), self._ratios.get(rival.name)

@@ -41,7 +41,7 @@ MOST_SPARED = 6.0  # times as many substeps, at most, as the seconds that were s
 
 @dataclass(frozen=True)
 class Second:
-    """What was measured of a second (or less).
+    """Measurements of a second (or less).
 
     substeps: that it had. error: in parts of its motion; rounding: what rounding made of it, and
     solver what is left where equations are not solved to the end. tries: (substeps, error) without
@@ -65,7 +65,7 @@ class Second:
 
     @property
     def curve(self) -> list[tuple[int, float]]:
-        """What steps make of the error with so many substeps, the fewest first."""
+        """The effect of steps on the error with so many substeps, the fewest first."""
         points = {self.substeps: max(self.steps, UNTOLD * self.error)}
         for substeps, error in self.tries:
             points[substeps] = max(error - self.solver, UNTOLD * error)
@@ -210,7 +210,7 @@ class SecondErrors:
         return any(self._grew)
 
     def spare(self, most: float = MOST_SPARED) -> list[float]:
-        """How many times as many substeps each sure second is worth, as others may be worse.
+        """The factor of substeps that each sure second is worth, as others may be worse.
 
         most: how many at most.
         """
@@ -238,7 +238,7 @@ class SecondErrors:
 
     @property
     def _spared(self) -> float:
-        """How many times as many substeps the worst second is worth."""
+        """The factor of substeps that the worst second is worth."""
         found = zip(map(self.needs, self.sure), self.spare(), strict=True)
         return max(((need * spare, spare) for need, spare in found), default=(0.0, 1.0))[1]
 

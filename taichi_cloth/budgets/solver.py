@@ -1,4 +1,4 @@
-"""What solves a step's equations as a budget's second setting: a tolerance, or a number of sweeps.
+"""The second setting of a budget, which solves a step's equations: a tolerance, or sweeps.
 
 The error meter says of each second what its solver left. That is kept a part of the error: where it
 is the larger one, the solver goes on for longer, and where it hardly counts, it ends earlier, so
@@ -23,7 +23,7 @@ DECADE, HALF_MORE = 2, 1.5  # rungs of tolerances in a decade; how many times mo
 
 
 class SolverErrors:
-    """What a solver left in the last seconds, and with which setting it would leave a fair part.
+    """Residuals of the last seconds, and the setting that would leave a fair part.
 
     name: "tolerance" or "iterations". precision: of the run.
     """
@@ -75,7 +75,7 @@ class SolverErrors:
         return max(now, min(_rung(now, 1), self._ends[1]))
 
     def work(self, now: float, other: float) -> float:
-        """How many times as long a step takes with another setting, about."""
+        """The factor by which a step is longer with another setting, about."""
         if self.name == "iterations":  # beside the sweeps, each step has about the work of one
             return (1 + other) / (1 + now)
         return math.log(other) / math.log(now)

@@ -41,7 +41,7 @@ def say(text: str) -> None:
 
 
 def compiling(scene: Scene, options: RunOptions) -> Callable[[], None] | None:
-    """What says on standard error why nothing happens for a while: once, whichever of two runs
+    """A teller, on standard error, why nothing happens for a while: once, whichever of two runs
     beside each other compiles first; None: a quiet run says nothing.
     """
     if options.quiet:

@@ -104,7 +104,7 @@ class Window:
         self.scenes.said = "; ".join([f"opened {name}", *names])
 
     def _edited(self) -> Callable[[], None] | None:
-        """What makes the present scene ready as its file says by now; None: it says the same."""
+        """The opener of the present scene as its file says by now; None: it says the same."""
         if not self.scenes.file:
             return None
         scene = self._now.source.build()

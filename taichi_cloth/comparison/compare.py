@@ -263,7 +263,7 @@ def _when(frame: int | None, times: np.ndarray) -> float | None:
 
 
 def _touches(pair: Pair, scene: Scene | None) -> tuple[touches.Touches, str]:
-    """What touches differ, and why that is not known, if it is not."""
+    """Differences in touches, and why they are not known, if they are not."""
     try:
         if scene is not None:
             n = pair.a.saved.position.shape[1]

@@ -70,7 +70,7 @@ class Recording:
         return name if isinstance(name, str) else None
 
     def settings(self) -> dict[str, Any]:
-        """What of its run is known, by the names of `SETTINGS`."""
+        """Facts of its run, by the names of `SETTINGS`."""
         meta = self.saved.meta
         versions = meta.get("versions")
         version = versions.get("taichi_cloth") if isinstance(versions, dict) else None
@@ -203,7 +203,7 @@ def _shortest(times: np.ndarray) -> float:
 
 
 def _frames(of: Recording) -> str:
-    """Where a recording's frames are in time."""
+    """Times of a recording's frames."""
     times = of.saved.time
     if len(times) == 1:
         return f"that of {of.label} is at {times[0]:g}"

@@ -37,7 +37,7 @@ def show(found: Comparison, to: Console) -> None:
 
 
 def _show_runs(found: Comparison, to: Console) -> None:
-    """What the runs are called, in what they differ, and what they share."""
+    """Names of the runs, their differences, and what they share."""
     of_a = {**found.settings_a, "frames": found.frames_a}
     of_b = {**found.settings_b, "frames": found.frames_b}
     names = list(dict.fromkeys([*of_a, *of_b]))
@@ -86,7 +86,7 @@ def _show_distances(found: Comparison, to: Console) -> None:
 
 
 def happenings(found: Comparison) -> dict[int, list[str]]:
-    """What happens in short, by the index of its frame among those of a comparison; -1: before."""
+    """Events in short, by the index of its frame among those of a comparison; -1: before."""
     said: list[tuple[float, str]] = []
     if found.difference:
         said.append((found.difference.time, "first difference"))

@@ -44,7 +44,7 @@ class FirstTouch:
 
 @dataclass(frozen=True)
 class Touches:
-    """What was found: the first touch of each run, as a frame as in `FirstTouch`, None where there
+    """The finding: the first touch of each run, as a frame as in `FirstTouch`, None where there
     is none, and the first that they do not share. In a scene where nothing can touch, all None.
     """
 
@@ -114,7 +114,7 @@ def _seen_later(runs: list[_Run], code: int, frame: int, others: int, in_a: bool
 
 
 class Contacts:
-    """What touches in runs of a scene, as numbers that several runs share.
+    """Touching pairs in runs of a scene, as numbers that several runs share.
 
     things: names of what is touched, which these runs share, to which a scene's are added. A
     particle i on thing t is t n + i; the pair i, j is -(i n + j) - 1.
@@ -133,7 +133,7 @@ class Contacts:
         return Moment(x[: self._n], v[: self._n], time)
 
     def codes(self, now: Moment, before: Moment | None) -> np.ndarray:
-        """What touches now, or bounced since a frame before, ascending."""
+        """Pairs that touch now, or bounced since a frame before, ascending."""
         if not self.possible:
             return np.zeros(0, np.int64)
         found = touching(self._scene, self._solids, now, before)
@@ -169,7 +169,7 @@ class _Run:
         return self._contacts.moment(x, v, float(self._times[frame]))
 
     def codes(self, frame: int) -> np.ndarray:
-        """What touches at the end of a frame, or bounced within it, ascending."""
+        """Pairs that touch at the end of a frame, or bounced within it, ascending."""
         before = self._moment(frame - 1) if frame else None
         return self._contacts.codes(self._moment(frame), before)
 

@@ -1,4 +1,4 @@
-"""What runs in the error meter's process: a window, made again in f64 at finer steps.
+"""The error meter's process: a window, made again in f64 at finer steps.
 
 The error, the reference's method and the converged solver are those of `trade`.
 """
@@ -51,7 +51,7 @@ class TooSlow(Exception):
 
 @dataclass(frozen=True)
 class _Plan:
-    """How a window is run once more."""
+    """A way to run a window once more."""
 
     method: str
     substeps: list[int]
@@ -75,7 +75,7 @@ class _Reference:
 
     @property
     def worth(self) -> tuple[int, int]:
-        """How much of the window it can tell, and has."""
+        """The share of the window that it can tell, and has."""
         return self.sure, len(self.finest)
 
 
@@ -458,7 +458,7 @@ class Judge:
 
 
 def _least(window: Window) -> int:
-    """How many samples of a window say something."""
+    """Count the samples of a window that say something."""
     return -(-LEAST // window.stride)
 
 

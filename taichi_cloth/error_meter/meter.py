@@ -122,12 +122,12 @@ class ErrorMeter(Listener):
 
     @property
     def age(self) -> int:
-        """How many frames ago the window of the last verdict ended."""
+        """The frames since the window of the last verdict ended."""
         last = self.last
         return 0 if last is None else self._sim.frame - last.end
 
     def progress(self) -> str:
-        """What it is doing, in words."""
+        """Its state, in words."""
         window = self._window
         if not self.busy:
             if window:
@@ -339,7 +339,7 @@ class ErrorMeter(Listener):
             self._folder.cleanup()
 
     def summary(self) -> str:
-        """What all verdicts come to, in a line."""
+        """The outcome of all verdicts, in a line."""
         if self.refused:
             return f"error: not measured: {self.refused}"
         known = [v.relative for v in self.verdicts if v.known and not v.resting]

@@ -1,4 +1,4 @@
-"""What is said of a window: how wrong it was, what made it so, and how far one may look ahead."""
+"""The verdict on a window: its error, the cause, and how far one may look ahead."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class Verdict:
         return self.error / self.scale
 
     def frames_within(self, part: float) -> int:
-        """How many of the frames that were judged are wrong by at most so much of the scale."""
+        """The share of judged frames that are wrong by at most so much of the scale."""
         within = sum(error <= part * self.scale for error in self.by_frame)
         return round(self.judged * within / max(len(self.by_frame), 1))
 
@@ -136,7 +136,7 @@ class Verdict:
         return value, (*more, *self._parts(), *ahead, *unsure)
 
     def _parts(self) -> list[str]:
-        """What made the error, in words."""
+        """The cause of the error, in words."""
         parts = []
         if self.solver is not None:
             parts.append(f"solver {self._part(self.solver)}")
@@ -145,7 +145,7 @@ class Verdict:
         return parts
 
     def foresight(self) -> str:
-        """How far the future can be trusted, in words; "": nobody looked."""
+        """The horizon up to which the future can be trusted, in words; "": nobody looked."""
         if self.growth is None:
             return ""
         if not self.growth:

@@ -39,7 +39,7 @@ WINDOW, GHOST, STAGE, SCENE = "window.pickle", "ghost.npz", "stage.txt", "scene.
 
 @dataclass
 class Window:
-    """What it takes to make some frames again, and to judge them.
+    """A window: all that it takes to make some frames again, and to judge them.
 
     start: where they began. first: how many frames the run had made then. method, dt, solver,
     precision: of all of them; substeps: of each. acts: what was done before each, by its number
@@ -75,7 +75,7 @@ class Window:
 
     @property
     def frames(self) -> int:
-        """How many frames were made in it."""
+        """The number of frames made in it."""
         return len(self.substeps)
 
     @property

@@ -1,4 +1,4 @@
-"""What is compiled and stored for a scene, and what each of its features costs, measured.
+"""Costs of a scene: kernels, memory, and each of its features, measured.
 
 A feature's cost is measured by switching it: the scene runs with it and without it, in one process
 and in turns, each round from the scene's start. A round's cost is the difference of its two times,
@@ -51,7 +51,7 @@ class Stored:
 
 @dataclass(frozen=True)
 class Compiled:
-    """What is compiled and stored for a simulation.
+    """Kernels and memory of a simulation.
 
     plan: the switches of `kernels.specialization`. links: each kind of link of the grids with the
     springs in lanes that are of it; on_graph: springs stored as lists. fields: the largest
@@ -316,7 +316,7 @@ def _cost(variant: Variant, own: Candidate, other: Candidate) -> Cost:
 
 
 def describe(sim: Simulation) -> Compiled:
-    """What is compiled and stored for a simulation."""
+    """Kernels and memory of a simulation."""
     layout = sim.storage.layout
     kinds = [next(k for k, of in LINKS.items() if _backwards(link) in of) for link in layout.links]
     counts = {kind: 0 for kind in LINKS if kind in kinds}

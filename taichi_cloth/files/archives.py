@@ -27,7 +27,7 @@ _UNREADABLE = (
 
 
 def noted(name: str, given: Any) -> str:
-    """What is noted in an archive beside its arrays, as a text in JSON; None: nothing is.
+    """The note in an archive beside its arrays, as a text in JSON; None: there is none.
 
     NumPy's numbers are written as Python's. name: what it is called where it is refused.
     """

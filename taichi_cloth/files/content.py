@@ -46,7 +46,7 @@ def text(
     called: str = "",
     remedy: str = "save it as UTF-8",
 ) -> str:
-    """What the file at `path` says; raises InputError where it cannot be read or is not in UTF-8.
+    """Read the file at `path`; raises InputError where it cannot be read or is not in UTF-8.
 
     remedy: what to do then. The other parameters are those of `content`.
     """

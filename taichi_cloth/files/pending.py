@@ -189,7 +189,7 @@ def _permissions(target: Path) -> int:
 
 
 def refusal(path: str | os.PathLike[str], error: Exception) -> InputError:
-    """What to raise where a path cannot be written, with the system's reason."""
+    """The error to raise where a path cannot be written, with the system's reason."""
     reason = getattr(error, "strerror", None) or error
     return InputError(f"{path}: cannot be written: {reason}")
 

@@ -18,7 +18,7 @@ class Recordings:
         return not (self.trajectory is None and self.export is None)
 
     def by_flag(self) -> dict[str, Trajectory | Export]:
-        """What there is, by the flag that asks for it."""
+        """Recordings by the flag that asks for them."""
         parts = {"--save": self.trajectory, "--export": self.export}
         return {flag: part for flag, part in parts.items() if part is not None}
 

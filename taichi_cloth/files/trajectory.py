@@ -44,7 +44,7 @@ class Saved:
     fixed: np.ndarray | None = None
 
     def __repr__(self) -> str:
-        """What a prompt or a notebook's cell shows of it: not its arrays."""
+        """Its line at a prompt or in a notebook's cell: not its arrays."""
         frames, particles = self.position.shape[:2]
         of = f"{self.meta['scene']!r}, " if "scene" in self.meta else ""
         return f"<Saved: {of}{counted(frames, 'frame')} of {counted(particles, 'particle')}>"
@@ -70,7 +70,7 @@ class _Springs(Protocol):
 
 
 class Exportable(Protocol):
-    """What trajectories and exports ask of a scene."""
+    """The part of a scene that trajectories and exports use."""
 
     @property
     def world(self) -> _World: ...
@@ -85,7 +85,7 @@ class Exportable(Protocol):
 
 
 class Recordable(Protocol):
-    """What trajectories and exports ask of a simulation."""
+    """The part of a simulation that trajectories and exports use."""
 
     @property
     def frame(self) -> int: ...
@@ -259,7 +259,7 @@ def _as_documented(saved: Saved) -> Saved:
 
 
 def _whole(saved: Saved, path: Path) -> Saved:
-    """What was read, if its arrays go together; else InputError."""
+    """Check that the arrays read go together; else InputError."""
     shape = saved.position.shape
     k, n, dim = shape if len(shape) == 3 else (0, 0, 0)
     s = len(saved.spring) if saved.spring.ndim else 0

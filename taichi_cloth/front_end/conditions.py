@@ -34,7 +34,7 @@ NEEDED = {
 
 
 def replacements() -> list[Replacement]:
-    """What stands in for parts of the Taichi that is imported, while a kernel is read."""
+    """Replacements of parts of the Taichi that is imported, while a kernel is read."""
     from taichi.lang import impl, ops
     from taichi.lang.ast.ast_transformer import ASTTransformer
 
@@ -115,7 +115,7 @@ def _by_numbers(bitwise: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _noting(build_if: Callable[..., Any], has_else: list[bool]) -> Callable[..., Any]:
-    """What reads an `if` or a `while`, which notes for as long whether that has an `else`."""
+    """A reader of an `if` or a `while`, which notes for as long whether that has an `else`."""
 
     def build(ctx: Any, node: ast.If | ast.While) -> Any:
         has_else.append(isinstance(node, ast.While) or bool(node.orelse))
@@ -128,7 +128,7 @@ def _noting(build_if: Callable[..., Any], has_else: list[bool]) -> Callable[...,
 
 
 def _branching(begin_if: Callable[..., None], has_else: list[bool]) -> Callable[..., None]:
-    """What begins a branch: one with an `else` on a variable that Taichi sees set twice.
+    """The begin of a branch: one with an `else` on a variable that Taichi sees set twice.
 
     Of such a variable it does not ask what it is set to.
     """

@@ -174,7 +174,7 @@ def _notes() -> Iterator[None]:
 
 
 def notes() -> dict[str, Any]:
-    """What is kept of the kernel that is being read, as long as it is; else nothing is."""
+    """The memory of the kernel that is being read, as long as it is; else nothing is kept."""
     return _kept[-1] if _kept else {}
 
 
@@ -331,7 +331,7 @@ def _function_in(lines: list[str], code: CodeType) -> list[str]:
 
 
 def _depth(line: str) -> int:
-    """How far a line is indented."""
+    """The indentation of a line."""
     return len(line) - len(line.lstrip())
 
 
@@ -450,7 +450,7 @@ def _no_stack(stacklevel: int = 1) -> str:
 
 
 def _visiting(runtime_of: Callable[[], Any]) -> Callable[..., Any]:
-    """What reads a node, as Taichi's `Builder` does, and notes for as long where it stands.
+    """A reader of nodes, as Taichi's `Builder` is, which notes for as long where each stands.
 
     runtime_of: Taichi's function that gives its runtime; it is called for each node.
     """
@@ -477,7 +477,7 @@ def _visiting(runtime_of: Callable[[], Any]) -> Callable[..., Any]:
 
 @functools.cache
 def _builder_of(builder: type, kind: type[ast.AST]) -> tuple[Callable[..., Any], bool]:
-    """What of a builder reads nodes of a kind, and whether these stand somewhere in the source."""
+    """The method of a builder for nodes of a kind, and whether these stand in the source."""
     build = getattr(builder, "build_" + kind.__name__, _refuse)
     return build, issubclass(kind, (ast.stmt, ast.expr))
 
@@ -501,7 +501,7 @@ def _placed(error: Exception, place: str) -> Exception:
 
 
 def _place(self: Any, node: Any) -> str:
-    """Where a node of a function's syntax tree stands: file, line, function, and the line itself.
+    """The place of a node of a function's syntax tree: file, line, function, and the line itself.
 
     self: Taichi's context of that function.
     """

@@ -18,7 +18,7 @@ NEEDED = {"matrix_ops": ("_reduce",), "impl": ("expr_init", "subscript")}
 
 
 def replacements() -> list[Replacement]:
-    """What stands in for parts of the Taichi that is imported, while a kernel is read."""
+    """Replacements of parts of the Taichi that is imported, while a kernel is read."""
     from taichi.lang import matrix_ops
 
     return [(matrix_ops, "_reduce", _reducing(matrix_ops._reduce))]

@@ -238,7 +238,7 @@ def _is_floor(spec, axis, side):
 def _rounding_of_gap(
     spec: ti.template(), state: ti.template(), radius, axis: ti.template(), side: ti.template()
 ):
-    """How far short of a wall counts as past it, of what lies there.
+    """The distance short of a wall that counts as past it, of what lies there.
 
     What was put onto a wall counts as past it, whatever rounding makes of its gap; on the floor it
     does not, in the original.

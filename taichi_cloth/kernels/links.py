@@ -129,7 +129,7 @@ OUTER_ROWS, LAST_ROWS, REST = range(-1, 2)  # what a phase of a pass does: see `
 
 
 def nothing(state):
-    """What a `Pass` has moved or consumed where neighbours read none of what it changes."""
+    """The change by a `Pass` where neighbours read none of it."""
     return ()
 
 

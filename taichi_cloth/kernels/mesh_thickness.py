@@ -157,7 +157,7 @@ class _Bins:
     def crossed(
         self, points: np.ndarray, ways: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """How far rays from points (n, 3) along ways (n, 3), of about unit length, go to the next
+        """Lengths of rays from points (n, 3) along ways (n, 3), of about unit length, to the next
         face, (n,), infinite: there is none; which one; and how many faces each crosses in all.
         """
         nearest, which = np.full(len(points), np.inf), np.zeros(len(points), np.int64)
@@ -192,7 +192,7 @@ def expanded(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _met(p: np.ndarray, way: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How far along its way (n, 3) each ray from p (n, 3) meets its triangle's plane, and whether
+    """The way (n, 3) of each ray from p (n, 3) to its triangle's plane, and whether
     it does so within the triangle (Moeller, Trumbore, "Fast, minimum storage ray-triangle
     intersection", 1997).
     """

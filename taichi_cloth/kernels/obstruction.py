@@ -317,7 +317,7 @@ def obstructed(
 
 @ti.func
 def along(spec: ti.template(), state: ti.template(), o, slot, began, begun_v, slack):
-    """Where obstacle o takes what began the step at `began` as a part of it, from there; and
+    """The place where obstacle o takes the step begun at `began` as a part of it, from there; and
     whether that had the obstacle's velocity, to rounding."""
     d = began - centre_of(spec, state, o, START)
     if ti.static(spec.compensated):
@@ -413,7 +413,7 @@ def meet(spec: ti.template(), state: ti.template(), o, slot, d, radius, slack):
 def judge_look(
     looks, at, here, inward, near, slack, inside, thin, fast, length, most_looks: ti.template()
 ):
-    """What a look at an obstacle on the path of a step says, and where to look next.
+    """The result of a look at an obstacle on the path of a step, and where to look next.
 
     The first is at the step's end, the second at its start; further ones follow its path where it
     is longer than the obstacle is thick (`fast`), until one meets the surface from outside.

@@ -50,7 +50,7 @@ def may_touch(spec: ti.template(), state: ti.template(), x, d, reach):
 
 @ti.func
 def meeting(spec: ti.template(), state: ti.template(), at, other, x, d, relative, reach, passed):
-    """How a particle meets another one: normal towards it, gap, normal part of their relative
+    """The meeting of two particles: normal towards the other, gap, normal part of their relative
     velocity, whether they overlap and whether they approach, as 1 or 0.
 
     x: of the particle; d, relative: from it to the other one, and that one's velocity less its own;
@@ -78,7 +78,7 @@ def meeting(spec: ti.template(), state: ti.template(), at, other, x, d, relative
 
 @ti.func
 def impulse(spec: ti.template(), state: ti.template(), at, other, n, relative, u):
-    """What a pair that approaches changes of the velocity of the particle at `at`, and the part of
+    """The change by a pair that approaches of the velocity of the particle at `at`, and the part of
     that which is friction: both times minus the sum of their inverse masses, over its own.
 
     n, relative, u: as `meeting` has them.

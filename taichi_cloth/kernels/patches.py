@@ -309,7 +309,7 @@ def _let_drift(state: ti.template(), a, b, drift, half, way):
 
 @ti.func
 def look_ahead(spec: ti.template(), state: ti.template(), a):
-    """How far from the places of a patch at a step's end those are that it may meet on its way."""
+    """The distance from the places of a patch at a step's end within which it may meet others."""
     most = ti.cast(0.0, state.real)
     for b in range(state.n_patches[None]):
         low, high = _differences(state, a, b, ti.static(WAY))

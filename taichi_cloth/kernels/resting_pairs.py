@@ -67,7 +67,7 @@ def needed(spec):
 
 
 def acts(spec):
-    """What takes all pairs apart, with what contact and friction leave of their velocities, as
+    """A function that takes all pairs apart, with what contact and friction leave of velocities, as
     ti.funcs(spec, state, t).
 
     With one launch per step it only ends what `find_pairs` and `iterate` began, in launches of

@@ -38,7 +38,7 @@ class SpringNumber:
     changed_by: str = ""
 
     def own(self, spec):
-        """Whether each link of a grid has its own."""
+        """Mark links of a grid that have numbers of their own."""
         return self.per_link or self.changes(spec.terms)
 
     def changes(self, terms):

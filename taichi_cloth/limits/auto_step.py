@@ -59,7 +59,7 @@ class SubstepController:
         self._moving: Bounds | None = None
 
     def memory(self) -> dict[str, Any]:
-        """What it remembers of the states before, numbers and arrays; `recall` takes it."""
+        """Its memory of the states before, numbers and arrays; `recall` takes it."""
         moving = None if self._moving is None else list(vars(self._moving).values())
         vectors = self._geometry.memory()
         return {"substeps": self._substeps, "moving": moving, "vectors": vectors}

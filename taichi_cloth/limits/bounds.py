@@ -25,7 +25,7 @@ BEYOND = 1.000001  # times a step: more than what bisection leaves open
 
 @dataclass(frozen=True)
 class Bounds:
-    """What no mode exceeds.
+    """Bounds that no mode exceeds.
 
     omega2, particle: the largest omega^2, and the particle that sets it (-1: none does).
     damping, damped: the largest d, and the particle that sets it (-1: none does).
@@ -92,7 +92,7 @@ def gershgorin_here(network: Network) -> Bounds:
 
 
 def _row_sums(network: Network, weights: np.ndarray) -> np.ndarray:
-    """What springs add to the row sums of |M^-1 K| or |M^-1 C|, (n,): the largest over all axes.
+    """The part of springs in the row sums of |M^-1 K| or |M^-1 C|, (n,): the largest over all axes.
 
     weights: (s, axes), what they add to a row.
     """
@@ -132,7 +132,7 @@ def _bounds(network: Network, stiff: np.ndarray, damped: np.ndarray) -> Bounds:
 
 
 def _rows_of_stencils(network: Network) -> np.ndarray:
-    """What stencils add to the row sums of |M^-1 K|, (n,).
+    """The part of stencils in the row sums of |M^-1 K|, (n,).
 
     In rows that is k |weight_i| times the sum of |weight| over free particles. In meshes, where
     stencils that have the same particles make up for each other, it is that of their matrix.
@@ -201,7 +201,7 @@ class AnyGeometry:
         return Bounds(values[0], rough.particle, values[1], rough.damped, rough.least_damping)
 
     def at_least(self, network: Network) -> Bounds:
-        """What the bounds cannot fall below: Rayleigh's quotients of the last vectors.
+        """Lower bounds: Rayleigh's quotients of the last vectors.
 
         After springs broke it tells, without an eigenvalue, where the bounds cannot have changed.
         """

@@ -48,7 +48,7 @@ class Limit:
     bent: int = -1
 
     def describe(self) -> str:
-        """What is responsible, in words."""
+        """The cause, in words."""
         if self.spring >= 0:
             a, b = self.ends
             return f"spring {self.spring}, between particles {a} and {b}"

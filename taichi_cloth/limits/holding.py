@@ -1,4 +1,4 @@
-"""How strongly the mouse holds a particle, and what that weighs so that the step stays stable."""
+"""The strength with which the mouse holds a particle, and the mass that keeps the step stable."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def added_mass(
     stiffness: np.ndarray,
     damping: np.ndarray,
 ) -> np.ndarray:
-    """What particles (m,) that are held so must weigh more for the step to stay stable, (m,).
+    """The mass that held particles (m,) must gain for the step to stay stable, (m,).
 
     Scenes may be run at the very limit of their step, as the original cloth is; whatever is added
     to their stiffness K or damping C then crosses it. A mass does not: a step h of limit s (2 for

@@ -115,14 +115,14 @@ class Network:
 
     @property
     def along_springs(self) -> tuple[np.ndarray, np.ndarray]:
-        """What forces along springs add to K and C: stiffness and damping, (s,)."""
+        """Terms of forces along springs in K and C: stiffness and damping, (s,)."""
         return self.once(
             "along_springs", lambda: self._shares(len(self.springs), self.springs, (TENSION,))
         )
 
     @property
     def on_particles(self) -> tuple[np.ndarray, np.ndarray]:
-        """What forces on single particles, such as drag, add to K and C, (n,)."""
+        """Terms of forces on single particles, such as drag, in K and C, (n,)."""
         kinds = (ACCELERATION, FORCE)
         return self.once(
             "on_particles", lambda: self._shares(len(self.particles), self.springs, kinds)
@@ -130,14 +130,14 @@ class Network:
 
     @functools.cached_property
     def by_triangles(self) -> tuple[np.ndarray, np.ndarray]:
-        """What forces on triangles add to K and C at most, whatever way these are turned, (n,)."""
+        """The most that forces on triangles add to K and C, whatever way these are turned, (n,)."""
         return tractions.bounds(
             self.position, self.velocity, self.world, self.triangles, self.shares
         )
 
     @functools.cached_property
     def damping_of_triangles(self) -> np.ndarray:
-        """What forces on triangles add to C, in the geometry as it is: blocks (m, 3, 3).
+        """Terms of forces on triangles in C, in the geometry as it is: blocks (m, 3, 3).
 
         Each acts on the mean velocity of a triangle's corners. What they add to K is left out: it
         is no symmetric matrix, and what grows by it, such as a flag's flutter, is physics.
@@ -148,7 +148,7 @@ class Network:
 
     @property
     def on_curvature(self) -> np.ndarray:
-        """What forces on stencils add to K: times the squares of curvature vectors, (m,)."""
+        """Terms of forces on stencils in K: times the squares of curvature vectors, (m,)."""
         return self.once(
             "on_curvature", lambda: self._shares(len(self.stencils), self.stencils, (CURVATURE,))[0]
         )

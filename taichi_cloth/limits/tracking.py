@@ -44,7 +44,7 @@ class Followed:
 
 @dataclass(frozen=True)
 class Shares:
-    """What makes up omega^2 and d of a mode.
+    """The parts of omega^2 and d of a mode.
 
     stiffness, damping: what each spring adds to omega^2 and to d, (s,). bending, held: what
     stencils, and forces on single particles add to omega^2. drag, air: what these add to d.
@@ -138,7 +138,7 @@ class FastestMode:
 
 
 class _Shape:
-    """What of the matrices stays as it is while the same springs hold, wherever they are.
+    """The part of the matrices that stays while the same springs hold, wherever they are.
 
     ends: the differences that springs take, (s, n), and its transpose. bending: what stencils add
     to K of the free particles, scaled by masses (f, f); None: there are none. same: whether the

@@ -1,4 +1,4 @@
-"""What times are made of: turns of those that are compared, quiet while one is timed, quartiles."""
+"""Timing: turns of those that are compared, quiet while one is timed, quartiles."""
 
 from __future__ import annotations
 

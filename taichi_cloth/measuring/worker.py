@@ -38,7 +38,7 @@ ENDED = "its process ended"  # how a failure begins that took the process with i
 
 
 class WorkerFailed(RuntimeError):
-    """What was asked of a process went wrong; the message is one line."""
+    """A request to a process went wrong; the message is one line."""
 
 
 class Worker:

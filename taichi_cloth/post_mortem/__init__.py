@@ -1,1 +1,1 @@
-"""What is found out about a run when it ends: why it failed, and with which setting it survives."""
+"""The post-mortem of a run: why it failed, and with which setting it survives."""

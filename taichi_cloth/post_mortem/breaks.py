@@ -1,4 +1,4 @@
-"""What broke in a run that goes on, and whether a step was too long then: it is made again.
+"""Breaks in a run that goes on, and whether a step was too long then: it is made again.
 
 The frames that `trace` reads are the last ones, and what tore may have torn long before.
 """
@@ -43,7 +43,7 @@ class Torn:
 
 
 def torn(sim: Simulation, past: Past, until: float, read: Callable[[], Sample | None]) -> Torn:
-    """What broke up to the present frame; the simulation is somewhere in its past afterwards.
+    """Find what broke up to the present frame; the simulation is in its past afterwards.
 
     until: when there is no more time, by the clock. read: how the simulation stands.
     """

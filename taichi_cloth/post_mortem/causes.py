@@ -304,7 +304,7 @@ def _limit(trace: Trace) -> Cause | None:
 
 
 def _too_long(trace: Trace, sample: Sample, when: str, k: int) -> Cause:
-    """What a step has too much of where it is beyond its limit. k: number of the sample, or -1."""
+    """The excess of a step beyond its limit. k: number of the sample, or -1."""
     limit, shares, h = sample.limit, sample.shares, sample.h
     damped = shares is not None and 2 * h * shares.d > h**2 * shares.omega2
     # What explicit Euler makes grow at every step grows slowly beside a damping beyond its limit.
@@ -359,7 +359,7 @@ def _usual(limit: Limit) -> float:
 
 
 def _damper(sample: Sample) -> tuple[str, str]:
-    """What damps most of the mode that is beyond its limit: the kind of cause, and in words."""
+    """The strongest damping of the mode beyond its limit: the kind of cause, and in words."""
     shares, limit = sample.shares, sample.limit
     assert shares is not None
     along = float(shares.damping.sum())
@@ -401,7 +401,7 @@ def _contact(trace: Trace) -> Cause | None:
 
 
 def _of_running(trace: Trace) -> Cause:
-    """What a run did that has not failed: numerics that are about to, or physics."""
+    """The findings on a run that has not failed: numerics that are about to, or physics."""
     unsolved = _solver(trace) if 2 * trace.unconverged > trace.steps else None
     if unsolved is not None:
         return unsolved

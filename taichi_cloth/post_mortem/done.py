@@ -1,4 +1,4 @@
-"""What was done to a run from outside, as its past has it, and what a post-mortem calls it."""
+"""Acts on a run from outside, as its past has them, and a post-mortem's words for them."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ class Act:
 
     @property
     def words(self) -> str:
-        """What was done: "a blow", "`set` of stiffness"."""
+        """An act in words: "a blow", "`set` of stiffness"."""
         called = WORDS.get(self.name, f"`{self.name.lstrip('_')}`")
         told = self.given if self.name in ("set", "set_step", "set_solver") else ()
         return f"{called} of {' and '.join(told)}" if told else called
 
 
 def act_of(frame: int, act: bytes) -> Act:
-    """What was done, out of the past of a simulation (`simulation.acts.noted`)."""
+    """Acts, out of the past of a simulation (`simulation.acts.noted`)."""
     name, _, given = pickle.loads(act)
     return Act(frame, name, tuple(key for key in given if key not in CHOICES))
 

@@ -23,7 +23,7 @@ SECONDS = 20.0  # that the trials may take; going back, as many
 
 @dataclass(frozen=True, repr=False)
 class PostMortem:
-    """What was found out.
+    """The findings.
 
     words: of the command line that makes the run, but for its settings; none: Python made it.
     """
@@ -34,7 +34,7 @@ class PostMortem:
     words: Sequence[str]
 
     def __repr__(self) -> str:
-        """What a prompt or a notebook's cell shows of it: its readings are 176 000 letters."""
+        """Its line at a prompt or in a notebook's cell: its readings are 176 000 letters."""
         return f"<PostMortem: {self.line}>"
 
     @property

@@ -1,4 +1,4 @@
-"""What the readings of a trace say together: when something grew, and out of what."""
+"""Readings of a trace together: when something grew, and out of what."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def of_failed_frame(trace: Trace) -> int | None:
 
 
 def part_from_nothing(trace: Trace, sample: Sample | None = None) -> str:
-    """What of the energy came from nothing until a sample, in words; None: until it had grown."""
+    """The energy that came from nothing until a sample, in words; None: until it had grown."""
     sample = sample or trace.samples[max(grown(trace), 0)]
     if not math.isfinite(sample.moving):
         return "its energy is no number any more"
@@ -58,7 +58,7 @@ def part_from_nothing(trace: Trace, sample: Sample | None = None) -> str:
 
 
 def from_nothing(trace: Trace, sample: Sample) -> float:
-    """What of the energy that moved until a sample came from nothing, as a part."""
+    """The part of the energy that moved until a sample and came from nothing."""
     until = trace.samples[: trace.samples.index(sample) + 1]
     moved = max(s.moving for s in until) + abs(sample.work) + abs(sample.by_hand)
     return max(sample.drift, 0.0) / moved if moved > 0 else 0.0

@@ -1,4 +1,4 @@
-"""What a post-mortem reads of a run at one moment."""
+"""Readings of a run at one moment, for a post-mortem."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from taichi_cloth.limits.tracking import Shares
 
 @dataclass(frozen=True)
 class Sample:
-    """What was so at one moment.
+    """A sample of one moment.
 
     time: the scene's. frame: how many were done; part: of the frame that failed, how much, else 0.
     total, moving: the whole energy, and that of motion and springs. drift: what of it came from

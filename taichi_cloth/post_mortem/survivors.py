@@ -61,7 +61,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Search:
-    """What was tried.
+    """The trials.
 
     best: the cheapest that survived; None: none did. says: why there is none, or what the trials
     were. without: acts that set the run's settings, which the trials left out. asked: whether any
@@ -176,7 +176,7 @@ class _Tries:
         return time.perf_counter() + seconds * frames < self.until
 
     def without(self) -> tuple[Act, ...]:
-        """What was done to the settings of the run, which no trial does again."""
+        """Changes of the settings during the run, which no trial makes again."""
         done = (act_of(frame, act) for frame, acts in self._acts.items() for act in acts)
         return tuple(act for act in done if act.name in SETTINGS)
 
@@ -215,7 +215,7 @@ def _wanted(
     wait: float,
     fits: Callable[[float], bool],
 ) -> Iterator[Settings]:
-    """What to try next, by what came of the trials so far.
+    """The next trial, by the outcomes so far.
 
     wait: seconds for a frame; where more substeps take longer, other methods are tried before.
     fits: whether there is time for a trial whose frames take so many.
@@ -344,7 +344,7 @@ def _cost(sim: Simulation, settings: Settings) -> float:
 
 
 def _words(trials: list[Trial], best: Trial | None, place: Place, trace: Trace) -> str:
-    """What came of it, in a clause."""
+    """Its outcome, in a clause."""
     whence = "the start" if place.checkpoint is None else f"frame {place.frame}"
     if best is None:
         last = f"; the last of {len(trials)}: {trials[-1].says}" if trials else ""

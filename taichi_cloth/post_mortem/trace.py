@@ -183,7 +183,7 @@ class _Reader:
         return place
 
     def _present(self) -> Sample | None:
-        """How the simulation stands, as if it began here."""
+        """The simulation's state, as if it began here."""
         self._gauges = Gauges(self._sim, paced=False, every={"state": 1, "margin": 1, "depth": 1})
         self._look(0.0)
         return self._samples.pop() if self._samples else None
@@ -232,7 +232,7 @@ class _Reader:
 
 
 def _pushed(sim: Simulation) -> np.ndarray | None:
-    """What pushes each particle from outside, a blow or who holds it, (n, dim); None: nothing."""
+    """Pushes on each particle from outside, a blow or a hold, (n, dim); None: none."""
     push, hold = sim.storage.held(), sim.held()
     if hold is None or not len(hold.particles):
         return push

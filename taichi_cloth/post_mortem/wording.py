@@ -1,4 +1,4 @@
-"""What a post-mortem calls springs, and who did something."""
+"""A post-mortem's names of springs, and of who did something."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from taichi_cloth.post_mortem.trace import Trace, inverse_masses
 
 
 def by_whom(trace: Trace, sample: Sample, of: frozenset[str] = frozenset()) -> str:
-    """Who did something last, until a sample. of: names of acts that come first."""
+    """The last one who did something, until a sample. of: names of acts that come first."""
     done = [act for act in trace.acts if act.frame <= sample.frame]
     done = [act for act in done if act.name in of] or done
     return f"{done[-1].words} at frame {done[-1].frame}" if done else "the scene"
@@ -35,12 +35,12 @@ def apart(a: float, b: float) -> tuple[str, str]:
 
 
 def counted(number: int, one: str, many: str) -> str:
-    """How many there are: "1 spring", "2 springs"."""
+    """A count in words: "1 spring", "2 springs"."""
     return f"{number} {one if number == 1 else many}"
 
 
 def spring_of(sample: Sample) -> str:
-    """What sets a sample's limit, a spring with its numbers of then."""
+    """The setter of a sample's limit, a spring with its numbers of then."""
     number = sample.limit.spring
     if number < 0:
         shares = sample.shares
@@ -51,7 +51,7 @@ def spring_of(sample: Sample) -> str:
 
 
 def air_at(particle: int) -> str:
-    """What acts on a particle in wind."""
+    """The forces on a particle in wind."""
     return f"the air at the triangles around particle {particle}"
 
 

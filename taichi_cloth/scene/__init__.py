@@ -1,1 +1,1 @@
-"""What is simulated, as plain NumPy data: no Taichi, no method."""
+"""Scenes, as plain NumPy data: no Taichi, no method."""

@@ -183,7 +183,7 @@ def grid_stencils(
     down: Sequence[float] | None = None,
     first: int = 0,
 ) -> Stencils:
-    """What resists bending in a `columns` x `rows` cloth, for `Scene`: second differences.
+    """Bending of a `columns` x `rows` cloth, for `Scene`: second differences.
 
     Those along rows come first, then those along columns, each row by row. An inner row stands for
     a strip as wide as the rows are apart, an outer one for half of it, a single one for a whole

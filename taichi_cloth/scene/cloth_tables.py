@@ -51,7 +51,7 @@ def read(reader: TableReader, entry: Table, index: int, common: Common) -> Sheet
 
 
 def _stencils(reader: TableReader, entry: Table, path: Keys, dim: int) -> Stencils:
-    """What resists bending in a cloth, whose first particle has the number 0."""
+    """Bending of a cloth, whose first particle has the number 0."""
     bending = reader.finite(path, "bending", reader.value(entry, path, "bending", toml.number))
     if bending is None:
         return Stencils.none()

@@ -1,4 +1,4 @@
-"""What tells two scenes apart: a short digest of all their physics."""
+"""A digest that tells two scenes apart, of all their physics."""
 
 from __future__ import annotations
 

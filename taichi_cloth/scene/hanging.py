@@ -35,7 +35,7 @@ FLAT = 1e-6  # a sheet that is less high than this part of its size lies, and is
 
 
 def table(path: Path, surface: Surface, given: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """What a scene file would say of the mesh at `path`, as a table of TOML; surface: the mesh's.
+    """The scene file of the mesh at `path`, as a table of TOML; surface: the mesh's.
 
     The mesh is in metres, hangs in the middle of a world three times its size, and is held by all
     vertices within the highest twentieth of its height. A sheet that lies is stood upright; one

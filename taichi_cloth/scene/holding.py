@@ -1,4 +1,4 @@
-"""What mouse tools do to a scene: whether they are at hand, and what one holds at the moment."""
+"""Mouse tools in a scene: whether they are at hand, and what one holds at the moment."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Hold:
 
     @property
     def targets(self) -> np.ndarray:
-        """Where each of the particles is held, (m, dim)."""
+        """The places where particles are held, (m, dim)."""
         targets: np.ndarray = self.offset + self.place
         return targets
 

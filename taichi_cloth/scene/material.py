@@ -1,4 +1,4 @@
-"""What a cloth is made of: numbers of its material, which do not change when its grid is refined.
+"""Materials of cloth: numbers that do not change when its grid is refined.
 
 A grid of spacing h stands for a sheet in which a strip of width b, pulled by the force F, becomes
 longer by the part F / (stretch b) of its length. A structural spring of length h stands for a strip
@@ -58,7 +58,7 @@ class Material:
         links: Collection[str],
         given: Mapping[str, Mapping[str, Any]],
     ) -> Material:
-        """What was given as the material of `what`, checked; None: nothing is said of it."""
+        """The material given of `what`, checked; None: none is."""
         of: Any = cls() if material is None else material
         if not isinstance(of, cls):
             raise InputError(f"{what}: material must be a Material, is {accepted.shown(of)}")
@@ -102,7 +102,7 @@ class Material:
     def of_links(
         self, kind: str, width: np.ndarray, length: float | np.ndarray
     ) -> dict[str, np.ndarray]:
-        """What the material says of links of a kind, (s,) each: stiffness and others, by name.
+        """The material's numbers of links of a kind, (s,) each: stiffness and others, by name.
 
         width: of the strip that each structural one stands for, in spacings, (s,); length: theirs.
         """

@@ -248,7 +248,7 @@ def _squares(position: np.ndarray, ends: np.ndarray) -> np.ndarray:
 
 
 def _quad_shares(quads: np.ndarray, position: np.ndarray) -> np.ndarray:
-    """What a quad's edges and diagonals have of the stretch stiffness, (q, 6), by `QUAD_SPRINGS`.
+    """Shares of a quad's edges and diagonals in the stretch stiffness, (q, 6), by `QUAD_SPRINGS`.
 
     Springs along unit vectors n, of length l, make a sheet of area A with the elasticity
     sum(k l^2 n n n n) / A, which has 5 components in a plane. The 6 springs take those of an

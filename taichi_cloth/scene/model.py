@@ -1,4 +1,4 @@
-"""What is simulated: particles, springs and their world, as plain NumPy data.
+"""The scene: particles, springs and their world, as plain NumPy data.
 
 A `Scene` knows no Taichi, no window and no method. Build one with the built-in
 `scenes`, from a TOML file (`scenefile`), or by hand; `checks.validate` refuses what cannot
@@ -112,7 +112,7 @@ class World:
 
     @property
     def dim(self) -> int:
-        """How many dimensions it has: 2 or 3."""
+        """The number of dimensions: 2 or 3."""
         return len(self.size)
 
     @property
@@ -132,14 +132,14 @@ class World:
         return (0.0, -1.0 if self.up else 1.0, 0.0)[: self.dim]
 
     def side(self, wall: str) -> tuple[int, int]:
-        """Where a wall is, out of `WALLS`: (axis, side); side -1 is the low end of the axis."""
+        """The place of a wall, out of `WALLS`: (axis, side); side -1 is the low end of the axis."""
         axis, side = WALLS[wall]
         return axis, -side if self.up and axis > 0 else side
 
 
 @dataclass(frozen=True)
 class ParticleDefaults(ParticleProperties[float]):
-    """What a particle has when nothing else is said (also: what a click spawns)."""
+    """The default of a particle (also: what a click spawns)."""
 
     def __post_init__(self) -> None:
         _take_plain(self, PARTICLE_PROPERTIES)
@@ -147,7 +147,7 @@ class ParticleDefaults(ParticleProperties[float]):
 
 @dataclass(frozen=True)
 class SpringDefaults(SpringProperties[float, "float | None", str]):
-    """What a spring has when nothing else is said (also: what a chain click adds).
+    """The default of a spring (also: what a chain click adds).
 
     An absent rest length is the distance at the start; an absent break force: unbreakable.
     """
@@ -429,7 +429,7 @@ class Scene(ByValue):
         object.__setattr__(self, "spring_color", accepted.plain(self.spring_color))
 
     def __repr__(self) -> str:
-        """What a prompt or a notebook's cell shows of it: how much of what, not its arrays."""
+        """Its line at a prompt or in a notebook's cell: how much of what, not its arrays."""
         numbers = {
             "spring": len(self.springs),
             "triangle": len(self.triangles),

@@ -327,7 +327,7 @@ def curvature_weights(mesh: Mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _of_rows(
     mesh: Mesh, slopes: _Slopes, mine: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What each turn of triangles `mine` is in their sums: the number of each sum, 3 t + row,
+    """The place of each turn of triangles `mine` in their sums: the number of each sum, 3 t + row,
     particles, -1: absent, and weights, (k,) each.
     """
     particle, weight = _turns(mesh, slopes, mine)
@@ -384,7 +384,7 @@ def _turns(mesh: Mesh, slopes: _Slopes, mine: np.ndarray) -> tuple[np.ndarray, n
 def _summed(
     corners: np.ndarray, number: np.ndarray, particle: np.ndarray, value: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """How many particles each sum has, particles and weights, as `curvature_weights` has them.
+    """The particles of each sum, particles and weights, as `curvature_weights` has them.
 
     corners: (t, 3), of the triangles; number, particle, value: (k,), what adds up.
     """

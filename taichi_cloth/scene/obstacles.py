@@ -84,7 +84,7 @@ def keys_of(shape: str) -> dict[str, Key]:
 
 
 def usual_contact(given: Iterable[str]) -> str:
-    """How contacts are treated where a scene file does not say, out of `CONTACTS`.
+    """The rule of contacts where a scene file names none, out of `CONTACTS`.
 
     given: the keys of its [world] and its tables. Scenes that have nothing newer than the original
     programs keep their rule, which the golden data has.
@@ -93,7 +93,7 @@ def usual_contact(given: Iterable[str]) -> str:
 
 
 def fault(obstacle: Any, dim: int) -> tuple[str | None, str] | None:
-    """What is wrong with an obstacle in a world of `dim` dimensions: (key or None, words)."""
+    """The fault of an obstacle in a world of `dim` dimensions: (key or None, words)."""
     from taichi_cloth.kernels import obstacles
     from taichi_cloth.kernels.obstacles.contract import REQUIRED
 
@@ -129,7 +129,7 @@ def fault(obstacle: Any, dim: int) -> tuple[str | None, str] | None:
 
 
 def _fault_of_value(key: Key, value: Any, dim: int) -> str | None:
-    """What is wrong with a value of a key, in words that follow its name."""
+    """The fault of a value of a key, in words that follow its name."""
     from taichi_cloth.kernels.obstacles import contract
 
     if key.kind == contract.TEXT:

@@ -1,4 +1,4 @@
-"""How deep particles are where they should not be: in obstacles, past walls, in each other."""
+"""Depths of particles where they should not be: in obstacles, past walls, in each other."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ class Moment:
 
 @dataclass(frozen=True)
 class Touching:
-    """What touches: each free particle and the thing that it touches, and pairs.
+    """Find what touches: each free particle and the thing that it touches, and pairs.
 
     things: {name of an obstacle, the ground or a wall: particles (k,)}; pairs: (p, 2).
     """
@@ -113,7 +113,7 @@ class Touching:
 def touching(
     scene: Scene, solids: Sequence[Solid], now: Moment, before: Moment | None = None
 ) -> Touching:
-    """What touches now, or is past what it touches, but for rounding in f32.
+    """Find what touches now, or is past what it touches, but for rounding in f32.
 
     before: a frame earlier; what bounced since then, and left, touches, too: it came, it goes, and
     both ways together take no more time than `TURN` frames. What turns by itself as near to a

@@ -18,7 +18,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Rule:
-    """What numbers, or words, must satisfy.
+    """Properties that numbers, or words, must satisfy.
 
     says: the requirement in words; of_links: the words for the value of one kind of link.
     holds: whether it is satisfied, value by value. A comparison with NaN is False, so rules

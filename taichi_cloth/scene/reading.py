@@ -38,7 +38,7 @@ Finite = TypeVar("Finite", float, "float | None", list[float], "list[float] | No
 
 @dataclass(frozen=True)
 class Common:
-    """What all entries share: the world, and what particles and springs have by default."""
+    """Shared parts of all entries: the world, and defaults of particles and springs."""
 
     world: World
     particle: ParticleDefaults

@@ -104,7 +104,7 @@ def save(scene: Scene, path: str | Path) -> None:
 
 
 def table_of(scene: Scene) -> Table:
-    """What a file says of a scene beside its particles and springs, as a table."""
+    """The part of a scene's file beside its particles and springs, as a table."""
     world = scene.world
     given = {
         "particle": {key: getattr(scene.particle_defaults, key) for key in PARTICLE_PROPERTIES},
@@ -173,7 +173,7 @@ def _similar_file(path: Path) -> str:
 
 
 def _of_meshes(name: str) -> str:
-    """What to add where a file of another suffix is no scene: it may be another kind of mesh."""
+    """A hint where a file of another suffix is no scene: it may be another kind of mesh."""
     if Path(name).suffix.lower() in ("", ".toml"):
         return ""
     return f"; a mesh is read from a file that ends in {', '.join(f'.{s}' for s in FORMATS)}"

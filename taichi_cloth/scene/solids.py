@@ -1,4 +1,4 @@
-"""What is in the way in a scene: obstacles, the ground and resting walls as solids that may move.
+"""Solids of a scene: obstacles, the ground and resting walls, which may move.
 
 Where they are at a time, how far points are from them, what begins inside them, and how they are
 drawn. Their shapes (`kernels/obstacles/`) are imported, and Taichi with them, only where there are
@@ -56,7 +56,7 @@ class Solid:
 
     @property
     def nodes(self) -> int:
-        """How many nodes its grid of distances has; 0: it has none."""
+        """The nodes of its grid of distances; 0: it has none."""
         return 0 if self.placed.nodes is None else self.placed.nodes[..., 0].size
 
     def pose(self, time: float) -> tuple[np.ndarray, np.ndarray]:
@@ -93,7 +93,7 @@ class Solid:
 
 
 def solids(scene: Scene) -> list[Solid]:
-    """What is in the way in a scene: its obstacles in their order, the ground, resting walls."""
+    """The solids of a scene: its obstacles in their order, the ground, resting walls."""
     dim = scene.world.dim
     still = np.zeros(dim), np.zeros(1 if dim == 2 else 3)
     margin = float(scene.particles.radius.max(initial=scene.particle_defaults.radius))
@@ -122,7 +122,7 @@ def solids(scene: Scene) -> list[Solid]:
 
 
 def number_of_solids(scene: Scene) -> int:
-    """How many `solids` a scene has."""
+    """The number of a scene's `solids`."""
     return len(scene.obstacles) + len(list(planes(scene.world)))
 
 
@@ -256,7 +256,7 @@ def _inside(
 def _pushed_out(
     x: np.ndarray, radius: np.ndarray, solids: Sequence[Solid], time: float
 ) -> np.ndarray:
-    """Where balls of radius (n,) at x (n, dim) are once all solids, by turns, have pushed them."""
+    """Places of balls of radius (n,) at x (n, dim) once all solids, by turns, have pushed them."""
     x = x.copy()
     for _ in range(PUSHES if len(x) else 0):
         for solid in solids:
@@ -344,7 +344,7 @@ def _is_split(solid: Solid, a: np.ndarray, b: np.ndarray, time: float) -> np.nda
 
 
 def depths(solids: Sequence[Solid], x: np.ndarray, radius: np.ndarray, time: float) -> np.ndarray:
-    """How deep particles are in what is in their way, (n,); negative: how far from all of it.
+    """Depths of particles in what is in their way, (n,); negative: how far from all of it.
 
     x: (n, dim); radius: (n,). They are infinitely far where nothing is in the way.
     """

@@ -28,7 +28,7 @@ MESHES = tuple(f".{name}" for name in FORMATS)  # suffixes of files that are no 
 
 @dataclass(frozen=True)
 class SceneSource:
-    """Where a scene comes from, before it is built.
+    """The source of a scene, before it is built.
 
     name: of a built-in scene, of a scene file, or of a mesh file, which hangs (`hanging`).
     parameters: values of the built-in scene's parameters, by name; the rest have their defaults.
@@ -92,7 +92,7 @@ class SceneSource:
         return given
 
     def solution(self) -> Callable[..., tuple[np.ndarray, np.ndarray]] | None:
-        """What gives the scene's closed form at given times; None without one.
+        """The scene's closed form, a function of times; None without one.
 
         With assignments there is none: it holds for what the scene's parameters can say.
         """

@@ -72,7 +72,7 @@ class Spheres:
 def needed_diameters(
     position: np.ndarray, triangles: np.ndarray, between: np.ndarray, rest_length: np.ndarray
 ) -> np.ndarray:
-    """How far apart corners must be so that triangles cannot meet, (n,): sqrt(2 q), see above.
+    """The distance of corners at which triangles cannot meet, (n,): sqrt(2 q), see above.
 
     A side is as long as at the start, or as its spring at rest where that is longer.
     """
@@ -164,7 +164,7 @@ def _patches(position: np.ndarray, size: np.ndarray, part: np.ndarray) -> dict[s
 
 
 def _widened(thickness: np.ndarray, diameter: np.ndarray, part: np.ndarray) -> Iterator[str]:
-    """What is said of cloths whose spheres are wider than their thickness."""
+    """A note on cloths whose spheres are wider than their thickness."""
     wider = (part >= 0) & (diameter > thickness)
     for cloth in np.unique(part[wider]):
         mine = np.flatnonzero(part == cloth)

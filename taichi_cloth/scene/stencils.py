@@ -91,7 +91,7 @@ class Stencils(Rows):
 
     @property
     def sizes(self) -> np.ndarray:
-        """How many particles each has, (m,)."""
+        """The number of each one's particles, (m,)."""
         sizes: np.ndarray = np.diff(self.start)
         return sizes
 
@@ -157,7 +157,7 @@ class Stencils(Rows):
         return total
 
     def stiffness(self, fixed: np.ndarray) -> np.ndarray:
-        """What multiplies curvature vectors in forces [force * length], (m,); fixed: (n,) bool.
+        """Factors of curvature vectors in forces [force * length], (m,); fixed: (n,) bool.
 
         It is B, but where cloth is clamped: what lies between fixed particles cannot bend, and the
         rest of a stencil's cloth is so much stiffer. In a row whose middle and one other particle

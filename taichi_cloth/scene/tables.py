@@ -1,4 +1,4 @@
-"""What the tables of a scene file say: a `Scene`, or a refusal that names the place at fault.
+"""Read the tables of a scene file: a `Scene`, or a refusal that names the place at fault.
 
 `scenefile` reads a file's text; the keys of its tables are those of `TABLES` below.
 """
@@ -88,7 +88,7 @@ FRAMES_A_SECOND = 60  # of scenes in metres and seconds that say no dt
 
 @dataclass(frozen=True)
 class _Source:
-    """Where a run of particles, springs or stencils comes from: `table`, its index and its keys."""
+    """The origin of a run of particles, springs or stencils: `table`, its index and its keys."""
 
     first: int
     table: str
@@ -191,7 +191,7 @@ class SceneReader(TableReader):
         return replace(sheet.particles, color=shades.astype(np.uint8))
 
     def world(self, table: Table, tables: Table) -> World:
-        """What [world] says; tables: all of the file."""
+        """Read [world]; tables: all of the file."""
         path = ("world",)
         size = self.finite(path, "size", self.required(table, path, "size", toml.numbers))
         if len(size) not in (2, 3):
@@ -316,7 +316,7 @@ class SceneReader(TableReader):
         return own
 
     def spring_defaults(self, table: Table) -> SpringDefaults:
-        """What [spring] says, but for the colour."""
+        """Read [spring], but for the colour."""
         given: dict[str, Any] = {}
         for key in table.keys() & SPRING_PROPERTIES.keys():
             value = self.spring_value(table, ("spring",), key)

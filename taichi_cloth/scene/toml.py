@@ -75,7 +75,7 @@ def written(value: Any) -> str:
 
 
 def describe(value: Any) -> str:
-    """What a value is, in TOML's words, with the value where it is short."""
+    """A value in TOML's words, with the value where it is short."""
     try:
         text = written(value)
     except ValueError:  # Python does not write a whole number of thousands of digits
@@ -150,7 +150,7 @@ def table(value: Any) -> dict[str, Any]:
 def list_of(
     read: Callable[[Any], Read], words: str, length: int | None = None
 ) -> Callable[[Any], list[Read]]:
-    """What reads a list of values, of `length` if one is given; words: what it must be."""
+    """A reader of a list of values, of `length` if one is given; words: what it must be."""
 
     def read_list(value: Any) -> list[Read]:
         if not isinstance(value, list) or length not in (None, len(value)):

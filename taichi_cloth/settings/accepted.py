@@ -60,7 +60,7 @@ def words(name: str, value: Any, known: Collection[str], count: int, of: str) ->
 
 
 def path(name: str, value: Any) -> Path:
-    """Where a file is."""
+    """The place of a file."""
     if not isinstance(value, (str, os.PathLike)) or not isinstance(os.fspath(value), str):
         raise InputError(f"{name} must be a path, is {shown(value)}")
     return Path(value)
@@ -107,7 +107,7 @@ def _short(whole: int) -> str:
 
 
 def listed(name: str, value: Any, must: str) -> list[Any]:
-    """What may be gone through but once, as a list; must: what it must be, in words."""
+    """Make a list of what may be gone through but once; must: what it must be, in words."""
     if not isinstance(value, (str, bytes)):
         with suppress(TypeError):
             return list(value)

@@ -23,7 +23,7 @@ USAGE = "usage: "  # what argparse begins a help text with
 
 @dataclass(frozen=True)
 class Words:
-    """What a command line says, before its values are checked.
+    """A command line, before its values are checked.
 
     texts: what is given for each setting: a value's text, or whether a switch is on.
     repeated: the texts of each setting that may be given several times, in order.

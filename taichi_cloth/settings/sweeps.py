@@ -42,7 +42,7 @@ class StabilityOptions(Options):
 
 @dataclass(frozen=True)
 class ComparisonOptions(Options):
-    """What `trade` and `tune` compare, and how."""
+    """The settings that `trade` and `tune` compare, and how."""
 
     methods: str | None = setting(None, "methods to compare (default: all)", str, metavar="A,B")
     precisions: str | None = setting(

@@ -237,7 +237,7 @@ class Launcher:
         return frames
 
     def _by_phases(self, spec: Specialization) -> bool:
-        """Whether each step takes several launches."""
+        """True if each step takes several launches."""
         split = spec.one_launch_per_step or (spec.lanes > 1 and self._method.launches)
         return bool(self._method.phases and split)
 

@@ -174,17 +174,17 @@ class Readings(Part):
         return inside_at_start(scene, self.storage.solids)
 
     def through_at_start(self) -> int:
-        """How many faces and edges begin, or were put, so far inside a sharp obstacle that its
+        """The faces and edges that begin, or were put, so far inside a sharp obstacle that its
         pushes leave them through it: there it keeps out their particles alone."""
         return self.storage.through()
 
     def unsettled(self) -> int:
-        """How many steps ended with resting pairs that overlap by more than a hundredth of their
+        """The steps that ended with resting pairs that overlap by more than a hundredth of their
         reach: iterations were given up. They are counted since the start, or since `reset`."""
         return int(self._unsettled[0]) + self.storage.unsettled()
 
     def uncertified(self) -> int:
-        """How many pairs of particles of cloths with a thickness are so near now that triangles at
+        """The pairs of particles of cloths with a thickness that are so near now that triangles at
         them might intersect (`scene.spheres.too_near`). 0 proves that none do but neighbours.
         """
         scene = self.storage.scene
@@ -194,13 +194,13 @@ class Readings(Part):
         return len(too_near(self.positions(), whole, scene.spheres))
 
     def unguarded(self) -> int:
-        """How many pairs of particles of cloths with a thickness began so near, as layers of a
+        """The pairs of particles of cloths with a thickness that began so near, as layers of a
         lining do, that triangles at them can go through each other (`scene.spheres`)."""
         scene = self.storage.scene
         return len(scene.spheres.unguarded) if scene.thick else 0
 
     def unsettled_faces(self) -> int:
-        """How many steps ended with a face or an edge in an obstacle, or past where it met it, by
+        """The steps that ended with a face or an edge in an obstacle, or past where it met it, by
         half its radius and that of the particles or more. They are counted since the start, or
         since `reset`."""
         return int(self._unsettled[1]) + self.storage.unsettled_faces()

@@ -151,7 +151,7 @@ class Simulation(Readings, Accounts, Pushes, Changes, Checkpoints, Starts, Engin
         self.reset()
 
     def __repr__(self) -> str:
-        """What a prompt shows of it: how far it is, of how much, and how it is run; that it is gone
+        """Its line at a prompt: how far it is, of how much, and how it is run; that it is gone
         with its start of Taichi, where reading it would raise: no debugger or log expects that.
         """
         if not still_runs(self._launcher.device):

@@ -108,7 +108,7 @@ def _measure(
 
 
 def within(end: Clock, tell: TellRun) -> TellRun:
-    """What is called before each run: it raises TimeOver where that would end too late."""
+    """A check before each run: it raises TimeOver where that would end too late."""
 
     def tell_in_time(method: str, map_: str) -> None:
         if end.left() < experiment.MOST_SECONDS:

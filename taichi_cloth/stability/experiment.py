@@ -56,7 +56,7 @@ TellRun = Callable[
 
 @dataclass(frozen=True)
 class Look:
-    """How a run is judged: its steps, how often it is looked at, the margin of growth."""
+    """The judgement of a run: its steps, how often it is looked at, the margin of growth."""
 
     steps: int
     times: int = 200
@@ -223,7 +223,7 @@ class Runs:
         self._disturbance = DISTURBANCE * size
 
     def seconds_a_step(self, limit: Limit) -> float:
-        """How long a step takes here, in which nothing moves; limit: says how fast things are."""
+        """The time of a step here, in which nothing moves; limit: says how fast things are."""
         sim = self._sim
         sim.set_step(1e-9 / _rate(limit), 100)
         sim.advance()  # compiles
@@ -344,7 +344,7 @@ def draw_maps(runs: Started, maps: list[Map], tell: TellRun, journal: Journal) -
 
 
 def left_out(scene: Scene, limits: Sequence[StepLimits], journal: Journal) -> list[str]:
-    """What a journal lacks of methods that have a limit, a line for each method."""
+    """The lacks of a journal for methods that have a limit, a line for each method."""
     said = []
     for of in limits:
         if math.isinf(of.limit.dt):
@@ -410,7 +410,7 @@ def _bisect_runs(limits: StepLimits, runs: Runs, tell: TellRun) -> float:
 
 
 def _long_enough(method: Method, limit: Limit, seconds: float) -> Look:
-    """How runs of steps that take `seconds` each show what grows a little above the limit."""
+    """The way that runs of steps of `seconds` each show what grows a little above the limit."""
     beyond = (1 + 2 * ACCURACY) * limit.dt
     rate = math.log(max(modes.growth(method, beyond, limit.omega2, limit.damping), 1 + 1e-12))
     needed = 3 * math.log(Look.margin) / rate
@@ -501,6 +501,6 @@ def _fill_map(
 
 
 def stall(scene: Scene) -> rounding.Stall:
-    """Where f32 stops following the scene's own start, gravity included."""
+    """The place where f32 stops following the scene's own start, gravity included."""
     p, a = scene.particles, diagnostics.acceleration_at_start(scene)
     return rounding.stall(p.position, p.velocity, a, p.fixed, scene.world.dt)

@@ -1,4 +1,4 @@
-"""What `stability` found, on the terminal, as CSV, and as pictures."""
+"""Reports of `stability`: on the terminal, as CSV, and as pictures."""
 
 from __future__ import annotations
 

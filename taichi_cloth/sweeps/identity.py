@@ -1,4 +1,4 @@
-"""What the results of a sweep are of: a journal of anything else is another sweep's."""
+"""The identity of a sweep's results: a journal of anything else is another sweep's."""
 
 from __future__ import annotations
 

@@ -263,7 +263,7 @@ def _as_json(line: Mapping[str, Any]) -> bytes:
 
 @contextlib.contextmanager
 def _on_disk(path: Path) -> Iterator[None]:
-    """Where the disk is full, or a folder cannot be written to, raise InputError with the path."""
+    """Raise InputError with the path where the disk is full, or a folder cannot be written to."""
     try:
         yield
     except OSError as error:

@@ -56,7 +56,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Elsewhere:
-    """Where a sweep runs its tasks: errors come from any of `executor`'s processes, times from
+    """The places of a sweep's tasks: errors come from any of `executor`'s processes, times from
     `timing` alone, a machine's of this name; None: they are measured in this process's own workers.
 
     gone: says why no process of one of these executors will do what waits; nothing while one may.
@@ -166,7 +166,7 @@ def said_of_lost(lost: Sequence[str]) -> str:
 
 
 def _payload(task: Task) -> bytes:
-    """What `run` takes: the versions stand outside, as others may not read the task."""
+    """The input of `run`: the versions stand outside, as others may not read the task."""
     return pickle.dumps((place()[1], pickle.dumps(task)))
 
 
@@ -219,7 +219,7 @@ def _ended(process: subprocess.Popen[bytes], wanted: Callable[[], bool]) -> int:
 
 
 def finished_by(work: Callable[[Journal], object], known: Mapping[str, Any]) -> list[Finished]:
-    """What work adds to a journal of its own, which begins with these results by key."""
+    """The results that work adds to a journal of its own, which begins with these by key."""
     with tempfile.TemporaryDirectory() as folder:
         journal = Journal(Path(folder), {})
         for key, result in known.items():
@@ -233,7 +233,7 @@ def finished_by(work: Callable[[Journal], object], known: Mapping[str, Any]) -> 
 
 
 def refusal(host: str, there: str, here: str) -> str:
-    """What is said of a worker whose versions are others than those of the sweep."""
+    """A note on a worker whose versions are others than those of the sweep."""
     mine = dict(word.rsplit(" ", 1) for word in here.split(", "))
     other = dict(word.rsplit(" ", 1) for word in there.split(", ") if word)
     names = [name for name in mine | other if mine.get(name) != other.get(name)]

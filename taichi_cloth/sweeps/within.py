@@ -58,7 +58,7 @@ class Clock:
         return part
 
     def describe(self) -> str:
-        """How long it is: '60 s'."""
+        """Its length: '60 s'."""
         return f"{self.seconds:g} s"
 
 
@@ -88,7 +88,7 @@ def ending(clock: Clock) -> Iterator[None]:
 
 
 def said_of_left_out(clock: Clock, lines: Sequence[str]) -> list[str]:
-    """What did not fit in the time that there was; nothing where it is as long as it takes."""
+    """The parts that did not fit in the time; none where it is as long as it takes."""
     if not clock.limited:
         return []
     if not lines:

@@ -81,7 +81,7 @@ def measured(
     closed: bool = True,
     quiet: bool = False,
 ) -> Iterator[Result]:
-    """What a study found, with its samples as long as the context lasts.
+    """The findings of a study, with its samples as long as the context lasts.
 
     How far it is shows on standard error, unless `quiet`. journal: has what is finished already.
     elsewhere: where it is measured, if not here. closed: whether the scene is the one whose closed
@@ -138,14 +138,14 @@ def write(
 
 
 def common(scene: Scene) -> dict[str, str]:
-    """What all rows share."""
+    """The shared part of all rows."""
     from taichi_cloth.measuring import machine
 
     return {"scene_hash": scene_hash(scene), "versions": machine.versions(PACKAGES)}
 
 
 def environment(source: SceneSource, options: ComparisonOptions, result: Result) -> dict[str, Any]:
-    """What it takes to measure the same again."""
+    """All that it takes to measure the same again."""
     from taichi_cloth.measuring import machine
 
     horizon, found = result.horizon, result.reference

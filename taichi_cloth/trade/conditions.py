@@ -1,4 +1,4 @@
-"""How the settings of a study are run, beside what is compared."""
+"""Conditions of a study: how its settings are run, beside what is compared."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ REFERENCES, TIMING = 0.15, 0.2
 
 @dataclass(frozen=True)
 class RunConditions:
-    """How settings are run, beside what is compared.
+    """Conditions of a study's runs, beside what is compared.
 
     topology, execution, threads: as in `run`, the first two never "auto": to measure which is
     fastest takes longer than a whole study. budget: seconds of timing for each setting;

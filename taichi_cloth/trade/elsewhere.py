@@ -77,7 +77,7 @@ def samples(
     asked: list[tuple[str, Setting]],
     frames: int,
 ) -> list[Finished]:
-    """What `Trial.sample` finds of each setting; one that fails by the machine is left out."""
+    """The findings of `Trial.sample` on each setting; one that fails by the machine is left out."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         file = folder / "samples.npz"
@@ -129,6 +129,6 @@ def _made(compiled: Scene, scene: Scene | None, how: dict[str, Any], folder: Pat
 
 
 def _failed(key: str, setting: Setting, error: Exception, about: dict[str, Any]) -> list[Finished]:
-    """What is kept of a setting that failed: nothing where the machine was at fault."""
+    """The kept part of a setting that failed: nothing where the machine was at fault."""
     outcome = failed_by(Outcome(setting, about=about), WorkerFailed(one_line(error)))
     return [] if outcome.lost else [Finished(key, failure_of(outcome))]

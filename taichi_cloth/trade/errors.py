@@ -1,4 +1,4 @@
-"""How wrong a run is: its samples beside those of a reference (NumPy, float64)."""
+"""Errors of a run: its samples beside those of a reference (NumPy, float64)."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Samples:
 
 @dataclass(frozen=True)
 class Distance:
-    """How far two runs are apart, in world units, over the particles that are free.
+    """The distance of two runs, in world units, over the particles that are free.
 
     final_rms, final_max: root of the mean square, and largest, distance of a particle at the end;
     trajectory, trajectory_max: the same over particles and over the ends of all frames.
@@ -97,7 +97,7 @@ def displacement(samples: Samples, free: np.ndarray) -> float:
 
 
 def extent(samples: Samples, free: np.ndarray, diagonal: float) -> tuple[float, str]:
-    """What errors are compared to, and its name: the largest displacement of a free particle.
+    """The scale of errors, and its name: the largest displacement of a free particle.
 
     diagonal: the world's [length], which stands for it where nothing moves.
     """
@@ -225,7 +225,7 @@ def first_frame(frames: np.ndarray) -> int | None:
 
 @dataclass(frozen=True)
 class Contacts:
-    """What contacts did in a run, None where that is not known.
+    """The account of contacts in a run, None where that is not known.
 
     penetration: the deepest one at the end of a frame [length]; energy: what they gave, summed over
     the steps in which they gave any (`kernels.contact_account`); later: by how much the first touch
@@ -251,7 +251,7 @@ def touches_anything(samples: Samples) -> bool:
 
 
 def _at_end(samples: Samples) -> list[float | None]:
-    """What `CONTACTS` names, at the end of a run."""
+    """The numbers of `CONTACTS`, at the end of a run."""
     if len(samples.contacts) == 0:
         return [None] * len(CONTACTS)
     return [None if np.isnan(number) else float(number) for number in samples.contacts[-1]]

@@ -78,7 +78,7 @@ class Forces:
         return total
 
     def _pull(self, x: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """What the springs give their particles, negated (n, dim)."""
+        """The forces of the springs on their particles, negated (n, dim)."""
         along = self.difference @ x
         length = np.sqrt((along**2).sum(axis=1))
         with np.errstate(all="ignore"):
@@ -97,7 +97,7 @@ class Forces:
         return np.stack([v, self.acceleration(x, v, t)]).ravel()
 
     def event(self, t: float, x: np.ndarray, v: np.ndarray) -> str | None:
-        """What happens here that is no part of the equation: a contact, a break; None: nothing."""
+        """An event here that is no part of the equation: a contact, a break; None: nothing."""
         particles, world = self.scene.particles, self.scene.world
         for wall in world.walls:
             axis, side = world.side(wall)
@@ -231,7 +231,7 @@ def _keep_states(solver: DOP853, times: np.ndarray, out: np.ndarray) -> None:
 
 
 def _event_in_step(solver: DOP853, forces: Forces, shape: tuple[int, ...]) -> str | None:
-    """What happens within the last step: looked for so often that no particle passes another."""
+    """Find what happens within the last step: so often that no particle passes another."""
     x, v = solver.y.reshape(2, *shape)
     moments = 1
     if forces.scene.world.collisions:

@@ -1,4 +1,4 @@
-"""What came of a study's settings, and how one says that it failed, or that the machine did."""
+"""Outcomes of a study's settings, and how one says that it failed, or that the machine did."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ UNTIMED_REMEDY = "see that the scheduler and a worker there answer, and --resume
 
 @dataclass
 class Outcome:
-    """What came of a setting: its samples' file, its work, the seconds of each timed run, and the
+    """The outcome of a setting: its samples' file, its work, the seconds of each timed run, and the
     name of the machine that they were taken on.
 
     lost: whether it came to nothing because of the machine, such as a full disk. sampled_in:
@@ -66,7 +66,7 @@ class StudyFailure(RunFailure):
 
 @dataclass
 class Result:
-    """What a study found, whole or, where it was interrupted, what was finished.
+    """The findings of a study, whole or, where it was interrupted, as far as it was finished.
 
     outcomes: of the settings, in their order; converged: those with a converged solver, by setting.
     interrupted: by what, which the caller raises once it has kept what was finished; None: whole.

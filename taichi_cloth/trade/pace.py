@@ -1,4 +1,4 @@
-"""What of a study fits in its time, told from how long what is finished took.
+"""The pace of a study: the part that fits in its time, told from how long the finished took.
 
 Methods come in the order of what they take to compile, each with its share of the time that is
 left, in which its settings run from the longest step to the shortest. What does not fit is left
@@ -50,7 +50,7 @@ def kind_of(method: str) -> int:
 
 
 class Pace:
-    """How long things take in a study, and what fits until its clock's end."""
+    """Times of things in a study, and the part that fits until its clock's end."""
 
     def __init__(self, clock: Clock):
         self.clock = clock
@@ -160,7 +160,7 @@ class Share:
 
 
 def left_out(clock: Clock, chosen: Sequence[Setting], outcomes: Sequence[Outcome]) -> list[str]:
-    """What of the settings was left out, a line for each method in each precision."""
+    """The settings left out, a line for each method in each precision."""
     if not clock.limited:
         return []
     done = {outcome.setting for outcome in outcomes}

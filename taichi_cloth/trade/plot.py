@@ -21,7 +21,7 @@ LINES = {"f64": "-", "f32": "--", "compensated": ":"}
 
 
 class SeriesStyle(NamedTuple):
-    """How a series is drawn."""
+    """The look of a series."""
 
     color: ColorType
     linestyle: str
@@ -175,7 +175,7 @@ def _draw_failures(of_time: Axes, of_step: Axes, rows: Sequence[Row], styles: St
 
 
 def _label_axes(of_time: Axes, of_step: Axes, rows: Sequence[Row]) -> None:
-    """What the axes are, and ticks that can be read: times with their unit, the steps there are."""
+    """Axes, and ticks that can be read: times with their unit, the steps there are."""
     from matplotlib.ticker import EngFormatter, FixedLocator, LogLocator, NullFormatter
 
     low, high = of_time.get_xlim()

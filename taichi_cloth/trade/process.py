@@ -59,7 +59,7 @@ class TrialProcess:
             self._worker.kill()
 
     def about(self, method: str) -> dict[str, Any]:
-        """What the trial of a method says of itself; nothing where there never was one."""
+        """The words of a method's trial on itself; none where there never was one."""
         return self._about.get(method, {})
 
     def drop(self, method: str) -> bool:
@@ -70,7 +70,7 @@ class TrialProcess:
         return made
 
     def ask(self, setting: Setting, scene: Scene, do: str, **arguments: Any) -> Any:
-        """What a `Trial` answers to a run of a setting on a scene.
+        """The answer of a `Trial` to a run of a setting on a scene.
 
         Raises WorkerFailed, or Stopped once the study is to end.
         """

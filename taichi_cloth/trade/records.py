@@ -18,7 +18,7 @@ from taichi_cloth.trade.settings import Setting
 
 
 class Records:
-    """What a journal has of a study's runs; frames: of a run."""
+    """The runs of a study in a journal; frames: of a run."""
 
     def __init__(self, journal: Journal):
         self.journal = journal
@@ -27,7 +27,7 @@ class Records:
     # --- samples -------------------------------------------------------------------------
 
     def sampled(self, scene: Scene, setting: Setting, frames: int) -> Outcome | None:
-        """What came of a setting, without its times; None where it was not run yet."""
+        """The outcome of a setting, without its times; None where it was not run yet."""
         entry = self.journal.get(self.sample_key(scene, setting, frames))
         return None if entry is None else _outcome(setting, entry)
 
@@ -109,18 +109,18 @@ class Records:
 
 
 def result_of(found: dict[str, Any], about: dict[str, Any]) -> dict[str, Any]:
-    """What is kept of what a `Trial` found, and of what it says of itself."""
+    """The kept part of a `Trial`'s findings, and of its words on itself."""
     result = {name: of for name, of in found.items() if name != "failed"}
     return result | {"status": found["failed"] or "ok", "about": about}
 
 
 def failure_of(outcome: Outcome) -> dict[str, Any]:
-    """What is kept of a setting that could not be run."""
+    """The kept part of a setting that could not be run."""
     return {"status": outcome.status, "about": outcome.about}
 
 
 def times_of(seconds: list[float], about: dict[str, Any]) -> dict[str, Any]:
-    """What is kept of the seconds of runs on this machine, and of what the `Trial` here says."""
+    """The kept seconds of runs on this machine, and the words of the `Trial` here."""
     return {"seconds": seconds, "host": platform.node(), "about": about}
 
 

@@ -1,4 +1,4 @@
-"""What runs are compared to, and how far it can be trusted.
+"""The reference of runs, and how far it can be trusted.
 
 Where a scene has a closed form, that; else the solution of the differential equation, by SciPy's
 DOP853 on forces of its own (`ode`) and, independently, by our method of the highest order in
@@ -39,7 +39,7 @@ TRUST = 10  # times what two references differ by: the least error that they can
 
 @dataclass(frozen=True)
 class Horizon:
-    """How far runs are compared.
+    """The horizon of a comparison of runs.
 
     asked, frames: frames wanted, and those that are compared; scale: `extent` within them, in world
     units, and what that is; grown: what a disturbance of `DISTURBANCE` grows to within them, in
@@ -180,7 +180,7 @@ def coarsest(scene: Scene, dt: float, resolution: float = RESOLUTION) -> int:
 
 
 def limit_horizon(scene: Scene, run: Samples, other: Samples) -> Horizon:
-    """How far to compare, from two runs whose starts differ by `DISTURBANCE` of the largest
+    """The horizon of comparison, from two runs whose starts differ by `DISTURBANCE` of the largest
     displacement of the first.
     """
     free, asked = ~scene.particles.fixed, len(run) - 1
@@ -194,7 +194,7 @@ def limit_horizon(scene: Scene, run: Samples, other: Samples) -> Horizon:
 
 
 def extent(scene: Scene, run: Samples) -> tuple[float, str]:
-    """What errors of a scene are compared to, and its name (`errors.extent`)."""
+    """The scale of a scene's errors, and its name (`errors.extent`)."""
     diagonal = float(np.linalg.norm(scene.world.size))
     return errors.extent(run, ~scene.particles.fixed, diagonal)
 

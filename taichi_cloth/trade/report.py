@@ -78,7 +78,7 @@ def show_front(result: Result, rows: Sequence[Row], to: Console) -> None:
 
 
 def _more_time(result: Result) -> str:
-    """What would help, where there was too little time."""
+    """Advice where there was too little time."""
     return "; give more time, or fewer --frames" if result.clock.limited else ""
 
 
@@ -147,7 +147,7 @@ def _columns(result: Result, rows: Sequence[Row]) -> dict[str, list[str]]:
 
 
 def notes(result: Result, rows: Sequence[Row]) -> list[str]:
-    """What errors are, what they are measured against, and what of it to trust."""
+    """Notes on errors: their reference, and how far to trust it."""
     said = [f"{FRONT} on the Pareto front: nothing else is as good and as cheap"]
     said += said_of_left_out(result.clock, result.left_out)
     failed = [row for row in rows if not row.ok]
@@ -191,7 +191,7 @@ def notes(result: Result, rows: Sequence[Row]) -> list[str]:
 
 
 def _seconds(judged: Sequence[Row]) -> list[str]:
-    """What the errors of seconds are, and how many of them nobody can know."""
+    """Notes on the errors of seconds, and on those that nobody can know."""
     said = [
         f"error: that of the worst of {counted(judged[0].seconds, 'second')}, each by itself from "
         "where the run stood, in parts of its motion: what run --error-meter says"

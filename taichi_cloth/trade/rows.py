@@ -97,7 +97,7 @@ class Row:
 
     @property
     def seconds(self) -> int:
-        """How many seconds were judged."""
+        """The number of judged seconds."""
         return len(self.judged or ())
 
     @property

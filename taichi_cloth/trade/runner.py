@@ -51,7 +51,7 @@ SWEEPS_TO_CONVERGE = 50  # of a solver that ends by its tolerance, about
 
 
 class _Course:
-    """What is found out about one scene while the study runs."""
+    """The findings on one scene while the study runs."""
 
     def __init__(self, scene: Scene, closed: Callable[[np.ndarray], Samples | None]):
         self.scene, self.closed = scene, closed

@@ -1,4 +1,4 @@
-"""What is compared: settings, and which of them a scene is tried in, by the methods' claims."""
+"""Settings to compare, and those in which a scene is tried, by the methods' claims."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ Process = tuple[str, str, bool]
 
 @dataclass(frozen=True)
 class Setting:
-    """How a scene is run: what `run` takes as flags of the same names.
+    """The way a scene is run: what `run` takes as flags of the same names.
 
     dt: time of a frame; a step is dt / substeps. tolerance, iterations: None where the method
     takes none, or takes what it has by itself.
@@ -59,7 +59,7 @@ class Setting:
 
     @property
     def process(self) -> Process:
-        """What it has in common with all settings that share its process."""
+        """The key that it shares with all settings of its process."""
         return self.arch, self.precision, self.fast_math
 
     @property
@@ -69,7 +69,7 @@ class Setting:
 
     @property
     def series(self) -> tuple[str, str, str, bool, int | None, float | None]:
-        """What it has in common with all settings that differ in nothing but their step."""
+        """The key that it shares with all settings that differ in nothing but their step."""
         return self.method, *self.process, self.iterations, self.tolerance
 
     @property
@@ -159,7 +159,7 @@ def choose(scene: Scene, options: ComparisonOptions, time: Clock | None = None) 
 
 
 def unplanned(scene: Scene, options: ComparisonOptions, chosen: Collection[Setting]) -> list[str]:
-    """What a plan without a limit of time has beyond the settings chosen, in a line, or none."""
+    """The rest of a plan without a limit of time beyond the settings chosen, in a line, or none."""
     beyond = [one for one in choose(scene, options, Clock()) if one not in chosen]
     if not beyond:
         return []
@@ -212,7 +212,7 @@ class Need(NamedTuple):
 
 
 def _needs(scene: Scene, dt: float, names: Sequence[str]) -> dict[str, Need]:
-    """What each method needs; of many particles the bound for every geometry stands for both."""
+    """The needs of each method; of many particles the bound for every geometry stands for both."""
     from taichi_cloth.kernels import methods
 
     network = Network.from_scene(scene)

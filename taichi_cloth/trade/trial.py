@@ -1,4 +1,4 @@
-"""What runs in a worker: one method on one scene, in one precision, at any step.
+"""The trial in a worker: one method on one scene, in one precision, at any step.
 
 A setting's error and its time are measured apart, so that reading positions is not timed.
 """
@@ -157,7 +157,7 @@ class Trial:
             sim.penetration()
 
     def _contacts(self, deepest: float) -> list[float]:
-        """What `errors.CONTACTS` names, until now; deepest: the first of it."""
+        """The numbers of `errors.CONTACTS`, until now; deepest: the first of it."""
         account = self._sim.contact_account()
         if not self._sim.can_touch():
             return [np.nan] * len(CONTACTS)

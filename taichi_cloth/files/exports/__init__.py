@@ -62,7 +62,7 @@ class Export:
 
     @property
     def frames(self) -> int:
-        """How many are noted."""
+        """The number noted."""
         return len(self._noted)
 
     @property
@@ -120,7 +120,7 @@ class Export:
         return Frame(sim.frame, sim.time, points, faces, whole, edges, held)
 
     def notes(self) -> list[str]:
-        """What is to be said of the files, a sentence each."""
+        """Notes on the files, a sentence each."""
         return self._writer.notes() if isinstance(self._writer, sequence.Sequence) else []
 
     def save(self) -> None:

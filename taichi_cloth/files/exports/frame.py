@@ -1,4 +1,4 @@
-"""What a writer of results is given, frame by frame, and what it must be able to do."""
+"""Frames given to writers of results, and the contract of these."""
 
 from __future__ import annotations
 

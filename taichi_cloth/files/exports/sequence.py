@@ -69,7 +69,7 @@ class Sequence:
             raise
 
     def notes(self) -> list[str]:
-        """What is to be said of the files, a sentence each."""
+        """Notes on the files, a sentence each."""
         frames = [loose for loose in self._loose.values() if loose]
         if not frames:
             return []
@@ -122,7 +122,7 @@ class Sequence:
 
 
 def _loose(frame: Frame) -> int:
-    """How many vertices had a face, and have none since cloth is torn."""
+    """The vertices that had a face, and have none since cloth is torn."""
     return len(np.setdiff1d(frame.triangles, frame.faces()))
 
 

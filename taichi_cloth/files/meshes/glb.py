@@ -71,7 +71,7 @@ def read(path: Path, data: bytes) -> Polygons:
 
 
 class _File:
-    """What a GLB file says, and its bytes. Methods raise ValueError and others where it is damaged,
+    """A GLB file, and its bytes. Methods raise ValueError and others where it is damaged,
     and InputError for what is sound and not read here.
     """
 
@@ -256,7 +256,7 @@ class _File:
 
 
 def _matrix(node: dict[str, Any]) -> np.ndarray:
-    """Where a node places what is in it, (4, 4); 3.5.3: by columns, or scaled, turned, moved."""
+    """The transform of a node, (4, 4); 3.5.3: by columns, or scaled, turned, moved."""
     if "matrix" in node:
         given: np.ndarray = np.array(node["matrix"], np.float64).reshape(4, 4).T
         return given

@@ -135,7 +135,7 @@ class _Reader:
         )
 
     def notes(self) -> tuple[str, ...]:
-        """What is said of lines of kinds that are not known."""
+        """A note on lines of kinds that are not known."""
         if not self.others:
             return ()
         shown = [f"'{clipped(kind)}'" for kind in list(self.others)[:MOST_KINDS]]

@@ -118,7 +118,7 @@ def gaps(surface: Surface, reach: float | np.ndarray) -> Gaps:
 
 
 def usual_reach(surface: Surface) -> np.ndarray:
-    """How near to a border's vertex another one is a seam's, by its shortest edge there, (n,)."""
+    """The reach of a border's vertex for a seam, by its shortest edge there, (n,)."""
     edges = _borders(surface)[0]
     length = np.linalg.norm(np.diff(surface.vertices[edges], axis=1)[:, 0], axis=1)
     shortest = np.full(len(surface.vertices), np.inf)

@@ -1,4 +1,4 @@
-"""What is in a file of triangles and polygons, and the checks that make a sound surface of it."""
+"""Triangles and polygons of a file, and the checks that make a sound surface of them."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Surface:
         return np.delete(np.arange(len(self.vertices) + len(self.left_out)), self.left_out)
 
     def is_closed(self) -> bool:
-        """Whether each edge has two faces: then the surface is a body's."""
+        """True if each edge has two faces: then the surface is a body's."""
         begin, end = self.triangles.ravel(), np.roll(self.triangles, -1, axis=1).ravel()
         return bool((np.unique(_edge_keys(begin, end), return_counts=True)[1] == 2).all())
 
@@ -318,7 +318,7 @@ def _edge_keys(begin: np.ndarray, end: np.ndarray) -> np.ndarray:
 
 
 def components(ends: np.ndarray, count: int) -> tuple[int, np.ndarray]:
-    """How many parts of `count` things the pairs `ends` (e, 2) leave, and the part of each."""
+    """Count the parts of `count` things that the pairs `ends` (e, 2) leave, and name each one's."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

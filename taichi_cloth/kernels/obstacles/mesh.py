@@ -454,7 +454,7 @@ def twin(placed, q):
 
 
 def _interpolated(low, cell, nodes, q):
-    """What a grid's nodes (.., k) have, (n, k), at points (n, 3), and how far these are past it,
+    """Interpolate a grid's nodes (.., k), (n, k), at points (n, 3), and how far these are past it,
     (n, 3)."""
     count = np.array(nodes.shape[:3])
     at = (q - low) / cell

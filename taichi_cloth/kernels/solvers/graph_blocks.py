@@ -58,7 +58,7 @@ def _sum_block(spec: ti.template(), state: ti.template(), b):
 
 @ti.func
 def _sum_stencil(spec: ti.template(), state: ti.template(), b, e):
-    """What block b's movement does to part e of a stencil, on the diagonal; what that of other
+    """The effect of block b's movement on part e of a stencil, on the diagonal; that of other
     blocks does is added to the coarse matrix.
 
     A stencil's weights add up to 0: so the first is what the weights outside the block lack.

@@ -41,7 +41,7 @@ def function(name: str) -> Callable[..., Scene]:
 
 
 def solution(name: str) -> Callable[..., tuple[np.ndarray, np.ndarray]] | None:
-    """What gives the closed form of the scene called `name` at given times; None without one."""
+    """The closed form of the scene called `name`, a function of times; None without one."""
     function(name)
     return getattr(importlib.import_module(f"{__name__}.{name}"), "solution", None)
 

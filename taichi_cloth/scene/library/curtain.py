@@ -103,7 +103,7 @@ def scene(
 
 
 def folded(columns: int, folds: int) -> tuple[np.ndarray, np.ndarray]:
-    """Where a row of particles is along the rail and in depth, (columns,) each [m].
+    """Places of a row of particles along the rail and in depth, (columns,) each [m].
 
     It goes to and fro by angles like a sine, so that it is as long as the cloth is.
     """

@@ -1,4 +1,4 @@
-"""What a window is told of a second run beside its own. Who makes that is said from above."""
+"""A second run beside a window's own, as the window sees it. Who makes it is said from above."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class DistanceReading:
-    """How far two runs are apart, in words, and in the last seconds.
+    """The distance of two runs, in words, and in the last seconds.
 
     value: now; details: of it; state: the colour of both. age: of frames [s], the oldest first;
     rms, largest: of a particle's distance then, in parts of the motion, (k,).
@@ -46,13 +46,13 @@ class Second(Protocol):
     def took(self) -> float: ...
 
     def names(self) -> tuple[str, str]:
-        """What the first and the second run are called, by what they differ in."""
+        """Names of the first and the second run, by what they differ in."""
 
     def stopped(self) -> str:
         """Why the second one stands still; "": it does not."""
 
     def reading(self) -> DistanceReading:
-        """How far they are apart."""
+        """Their distance, in words."""
 
     def finding(self) -> Word | None:
-        """What differed first, if anything did."""
+        """The first difference, if there is one."""

@@ -1,4 +1,4 @@
-"""What a window is told of a budget that its run is kept to. Who keeps it is said from above."""
+"""A budget of a window's run, as the window sees it. Who keeps it is said from above."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Budget(Protocol):
     def shortens(self) -> bool: ...
 
     def status(self) -> Word | None:
-        """What the status says of it; None: nothing is held."""
+        """Its words in the status; None: nothing is held."""
 
     def choose(self, word: str) -> None:
         """Hold something else from now on; InputError where that cannot be."""

@@ -1,4 +1,4 @@
-"""What is around the world: what of it is open, where it is, and what a click on it means."""
+"""The chrome around the world: what of it is open, where it is, and what a click on it means."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from taichi_cloth.ui.inputs import Event
 
 @dataclass(frozen=True)
 class Contents:
-    """What is written around the world.
+    """The text around the world.
 
     rows: of the status, of which as many are shown as are open. buttons: of the tool bar.
     keys: lines of the key list (empty: closed), "key<tab>action" for two columns.
@@ -104,7 +104,7 @@ class Chrome:
         return self.is_open(name) and name not in {part.name for part, _ in self._placed(layout)}
 
     def layout(self, size: tuple[int, int]) -> Layout:
-        """Where everything is in a window of `size` (width, height)."""
+        """Arrange everything in a window of `size` (width, height)."""
         return arrange(size, self._open)
 
     def overlay(self, layout: Layout, contents: Contents) -> tuple[Panel, ...]:
@@ -133,7 +133,7 @@ class Chrome:
         )
 
     def take(self, event: Event, layout: Layout, buttons: Sequence[Button]) -> Event | None:
-        """What an event means that may be for what is around the world; None: nothing more.
+        """Take an event that may be for what is around the world; None: nothing more.
 
         A click on a button of the bar is its key; the pointer beside the world does nothing to it.
         """

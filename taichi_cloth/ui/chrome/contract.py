@@ -1,4 +1,4 @@
-"""What a part is that may be opened beside the world: settings, meters, a timeline."""
+"""The contract of a part that may be opened beside the world: settings, meters, a timeline."""
 
 from __future__ import annotations
 

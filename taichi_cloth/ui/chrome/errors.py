@@ -1,4 +1,4 @@
-"""What the meters are told of the error of what is seen. Who measures it is said from above."""
+"""The error of what is seen, as the meters see it. Who measures it is said from above."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Errors(Protocol):
         """Begin to measure, or end."""
 
     def reading(self) -> ErrorReading:
-        """What there is to say now."""
+        """Its words now."""
 
     def next_ghost(self) -> str:
         """Show the reference as a ghost, magnified, then in its true size, then no more; what to

@@ -1,4 +1,4 @@
-"""What each meter says: its value, its state, and the curves of the last seconds."""
+"""The contents of each meter: its value, its state, and the curves of the last seconds."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Meter:
 
 @dataclass
 class Source:
-    """What meters are made of. frames: rows of (simulate, draw, wait) [s]; None: not measured.
+    """The inputs of meters. frames: rows of (simulate, draw, wait) [s]; None: not measured.
 
     now: the second of what is kept. error: of what is seen; None: nobody measures it. apart:
     how far a run beside it is; None: there is none.
@@ -107,7 +107,7 @@ def _state(value: float, limits: tuple[float, float]) -> Color:
 
 
 def frame_time(of: Source) -> Meter | None:
-    """What a frame takes, and for what; what is left is waited for."""
+    """The time of a frame, by its parts; what is left is waited for."""
     if of.frames is None or not len(of.frames):
         return None
     age, parts = of.frames.last(of.now)
@@ -139,7 +139,7 @@ def frame_time(of: Source) -> Meter | None:
 
 
 def error(of: Source) -> Meter | None:
-    """How wrong each second is, while somebody measures it."""
+    """The error of each second, while somebody measures it."""
     found = of.error
     if found is None:
         return None
@@ -153,7 +153,7 @@ def error(of: Source) -> Meter | None:
 
 
 def distance(of: Source) -> Meter | None:
-    """How far a second run is apart from the first."""
+    """The distance of a second run from the first."""
     found = of.apart
     if found is None:
         return None
@@ -169,7 +169,7 @@ def distance(of: Source) -> Meter | None:
 
 
 def margin(of: Source) -> Meter | None:
-    """How far the step is from the stable limit, and the spring that sets it."""
+    """The step beside the stable limit, and the spring that sets it."""
     found = of.gauges.margin
     if found is None:
         return None

@@ -1,4 +1,4 @@
-"""Where in a window the world is shown, and where what is around it."""
+"""The layout of a window: the world, and what is around it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SMALLEST_ROOM = 64  # pixels that the world keeps along each side, whatever is o
 
 @dataclass(frozen=True)
 class Parts:
-    """What is open beside the world.
+    """The parts that are open beside the world.
 
     bar: the tool bar. strip: rows of the status. row: the name of what stands in the row above it
     ("": nothing). columns: the names of what stands in the column at the right, from the top down.
@@ -35,7 +35,7 @@ ROWS = 2  # of a status: counts, then settings
 
 
 def at_start(*, windowed: bool, status: bool, text: float = 1.0) -> Parts:
-    """What is open from the start, where a status is wanted: in a window a tool bar and the first
+    """The parts open from the start, where a status is wanted: in a window a tool bar and the first
     row of the status; in a picture, which nobody can ask for more, the whole status.
 
     text: the size of all text, in parts of the usual.
@@ -47,7 +47,7 @@ def at_start(*, windowed: bool, status: bool, text: float = 1.0) -> Parts:
 
 @dataclass(frozen=True)
 class Layout:
-    """Where everything is in a window of `size` (width, height) whose text is `text` pixels high.
+    """Arrange everything in a window of `size` (width, height) whose text is `text` pixels high.
 
     world: where the world is shown. bar, strip, row: None where they are not open.
     columns: by name, what stands at the right.
@@ -63,7 +63,7 @@ class Layout:
 
     @property
     def within(self) -> Rect:
-        """What is between the bar and the status: the world, and all that is open beside it."""
+        """The room between the bar and the status: the world, and all that is open beside it."""
         below = self.strip.y if self.strip else self.size[1]
         return Rect(0, self.world.y, self.size[0], below - self.world.y)
 

@@ -1,4 +1,4 @@
-"""What is laid over the world for a while: a list of keys, a banner where a run stopped."""
+"""Messages over the world for a while: a list of keys, a banner where a run stopped."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def _begun(lines: tuple[str, ...], room: Rect) -> tuple[str, ...]:
 
 
 def legends(rows: Sequence[Meanings], room: Rect, height: int) -> tuple[Panel, ...]:
-    """What colours mean, at the lower left of the world's room, a row above the other."""
+    """Legends of colours, at the lower left of the world's room, a row above the other."""
     panels: list[Panel] = []
     for row in rows:
         panels.append(_legend(row, room, height))

@@ -91,7 +91,7 @@ class Meters:
         return self._gauges
 
     def before_frame(self) -> None:
-        """What has to be known before a frame is advanced."""
+        """The facts needed before a frame is advanced."""
         self._reading().before_frame()
 
     def frame(self, simulate: float, draw: float, wait: float) -> None:

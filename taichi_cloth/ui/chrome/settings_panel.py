@@ -174,7 +174,7 @@ class SettingsPanel:
             yield Row(f"{HOLD}:{word}", word, "now" if now else "", option=word, changed=now)
 
     def _note(self) -> tuple[str, str]:
-        """What is said at the foot: what the chosen row is and costs, or what was refused."""
+        """The words at the foot: what the chosen row is and costs, or what was refused."""
         row, notice = self._row(self._chosen), self._notice()
         key = (row, notice, self._costs.looks, self._budget.why if self._budget else "")
         if self._noted is None or self._noted[0] != key:
@@ -484,7 +484,7 @@ def _lines(words: str, width: int, height: int) -> list[str]:
 
 
 def _waiting(compiles: bool) -> str:
-    """What follows from that a change compiles."""
+    """The consequence of a change that compiles."""
     if not compiles:
         return ""
     return "; compiles, and waits" if compiles_in_background() else "; compiles"

@@ -106,7 +106,7 @@ def _within(words: str, room: int, height: int) -> str:
 
 
 def value_start(words: str, width: int, height: int) -> float:
-    """Where a value begins, which ends where the left column does: pixels of the panel."""
+    """The begin of a value, which ends where the left column does: pixels of the panel."""
     return _left(width, height)[1] - text.length(words, height)
 
 
@@ -116,13 +116,13 @@ def pad(height: int) -> int:
 
 
 def cost_column(width: int, height: int) -> tuple[int, int]:
-    """Where the column of costs begins and ends, pixels of the panel."""
+    """The begin and end of the column of costs, pixels of the panel."""
     end = width - pad(height)
     return end - round(text.length(WIDEST, height)), end
 
 
 def _left(width: int, height: int) -> tuple[int, int]:
-    """Where what is beside the costs begins and ends."""
+    """The begin and end of what is beside the costs."""
     return pad(height), cost_column(width, height)[0] - pad(height)
 
 
@@ -131,7 +131,7 @@ def _indent(row: Row, height: int) -> int:
 
 
 def track(width: int, height: int) -> tuple[int, int]:
-    """Where a slider begins in the panel, and how long it is, pixels."""
+    """The begin of a slider in the panel, and its length, pixels."""
     first, end = _left(width, height)
     half = max(2, height // 5)
     return first + half, max(end - first - 2 * half, 1)
@@ -198,7 +198,7 @@ def _draw_slider(block: np.ndarray, row: Row, height: int, ink: Color) -> None:
 
 
 def share(one: Setting, value: float) -> float:
-    """How far along its slider a value is, 0 to 1."""
+    """The place of a value along its slider, 0 to 1."""
     low, high = one.low, one.high
     if one.log and value > 0:
         low, high, value = np.log(low), np.log(high), np.log(value)

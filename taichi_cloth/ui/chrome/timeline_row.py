@@ -84,7 +84,7 @@ HINT = "left right: a frame   q: slower   p: go on from here"
 
 
 def _track(rect: Rect, height: int) -> tuple[int, int]:
-    """Where the track of frames begins in the row, and how long it is, pixels."""
+    """The begin of the track of frames in the row, and its length, pixels."""
     first = round(15 * height)
     room = round(text.length(HINT, height)) + 2 * height if rect.width > 60 * height else height
     return first, max(rect.width - first - room, 1)

@@ -28,7 +28,7 @@ class Button:
 
 
 def placed(buttons: Sequence[Button], rect: Rect, height: int) -> list[tuple[Button, Rect, bool]]:
-    """Where the buttons are in the bar's rectangle, and whether their labels are written.
+    """Places of the buttons in the bar's rectangle, and whether their labels are written.
 
     Where there is too little room, labels are written as far as it goes: of those in use, of the
     tools, and then one by one of those at the right, first of the last, which says what the keys

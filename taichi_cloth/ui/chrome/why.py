@@ -30,7 +30,7 @@ TOP, PAD, STEP, GAP = 0.6, 0.7, 1.25, 0.35  # around lines, from one to the next
 
 @dataclass(frozen=True)
 class Finding:
-    """What is said of a run that failed.
+    """The words on a run that failed.
 
     title: when and how it stopped. cause, proof: why. numerical: whether another setting would not
     have it. remedy: what survives, or why nothing does. settings: what that is, by the names of
@@ -62,7 +62,7 @@ class Examiner(Protocol):
     """Finds out why a run failed."""
 
     def examine(self, tell: Callable[[str], None], tries: bool) -> Finding | None:
-        """What there is to say; None: nothing.
+        """Its words; None: none.
 
         tell: called with what is being tried; tries: whether settings are.
         """

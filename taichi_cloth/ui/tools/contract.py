@@ -1,4 +1,4 @@
-"""What a mouse tool declares, and what it is given to work with."""
+"""The declaration of a mouse tool, and all that it works with."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ToolEvent:
-    """What a tool did, as it stands in the interaction log.
+    """An act of a tool, as it stands in the interaction log.
 
     kind: the name of one of its `LoggedEvent`s. values: the fields that this declares, as JSON
     has them (numbers, words, lists).
@@ -32,7 +32,7 @@ class ToolEvent:
     values: Mapping[str, Any]
 
     def fields(self) -> dict[str, Any]:
-        """What a log's line says of it."""
+        """Its fields in a log's line."""
         return dict(self.values)
 
 
@@ -59,7 +59,7 @@ class LoggedEvent:
 
 @dataclass(frozen=True)
 class Marks:
-    """What a tool draws beside the scene: particles and springs that are only seen.
+    """Marks of a tool beside the scene: particles and springs that are only seen.
 
     position: (m, dim) world units. radius: (m,) world units. color: (m, 3) uint8.
     segments: (s, 2) int, pairs of these particles.
@@ -87,7 +87,7 @@ class Marks:
 
 @dataclass
 class Hand:
-    """What a tool works with.
+    """The surroundings that a tool works with.
 
     sim: the simulation. camera: of a 3-D scene, else None.
     window: the map between the world and the window whose pixels events refer to.
@@ -109,7 +109,7 @@ class Hand:
 
     @property
     def notice(self) -> str | None:
-        """What to tell the user about what was done last; None: nothing."""
+        """A note for the user on what was done last; None: none."""
         return self.told[0]
 
     @notice.setter
@@ -145,7 +145,7 @@ class Hand:
         radius: float,
         through: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Where a new sphere goes, (dim,): in space it lies before what is seen at the pixel.
+        """The place of a new sphere, (dim,): in space it lies before what is seen at the pixel.
 
         Where nothing is, or nothing before a point (3,) that is given, it is `place`; and where
         only what is outside the world is seen, as the floor is up to the horizon.
@@ -197,7 +197,7 @@ class Hand:
         return world.up != "y" and min(world.size[:2]) >= FEWEST_PIXELS
 
     def mark(self, particle: int | None) -> Marks | None:
-        """What shows in the picture that a click would take a particle; None: it takes none."""
+        """A mark in the picture that a click would take a particle; None: it takes none."""
         if particle is None:
             return None
         place, none = self.sim.positions()[[particle]], np.zeros((0, 2), np.int64)
@@ -210,7 +210,7 @@ class Hand:
         return length * self.camera.distance / self.camera.focal_length if self.camera else length
 
     def reach(self) -> float | None:
-        """How far from the pointer a tool acts, world units: an eighth of what is seen.
+        """The reach of a tool from the pointer, world units: an eighth of what is seen.
 
         That is of the shorter side of the picture, in 3-D at what the camera looks at. None: the
         world is measured in pixels, as the original's, and so is what its pointer reaches.
@@ -326,7 +326,7 @@ class Tool(Generic[M]):
 
 
 def prepared(sim: Simulation) -> Callable[[], None] | None:
-    """What makes a simulation ready for tools that hold, cut and add: compiling, where needed."""
+    """Make a simulation ready for tools that hold, cut and add: compiling, where needed."""
     return None if sim.scene.world.tools else sim.prepare_tools
 
 

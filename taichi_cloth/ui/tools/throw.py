@@ -109,7 +109,7 @@ def _entry(
 def _from_beside(
     eye: np.ndarray, along: np.ndarray, distance: float, low: np.ndarray, high: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where a ball begins in a box that the line of sight misses, and which way it goes: to what is
+    """The begin of a ball in a box that the line of sight misses, and which way it goes: to what is
     seen at a distance, from the first of the places that are nearest to the way there.
     """
     way = eye + along * np.linspace(0.0, distance, LOOKS)[:, None]
@@ -143,7 +143,7 @@ def _throw(sim: Simulation, values: Mapping[str, Any]) -> None:
 
 
 def _prepare(sim: Simulation) -> Callable[[], None] | None:
-    """What makes the scene's particles collide with a ball."""
+    """Make the scene's particles collide with a ball."""
     if sim.scene.world.tools and sim.scene.world.collisions:
         return None
     return sim.prepare_balls
