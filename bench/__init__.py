@@ -44,7 +44,7 @@ def module_of(part: str) -> str:
 
 
 def summary(part: str) -> str:
-    """What a part measures, in one line, read without running its module."""
+    """The subject of a part, in one line, read without running its module."""
     path = Path(__path__[0], MODULES.get(part, part))
     file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
     docstring = ast.get_docstring(ast.parse(file.read_text("utf-8")))

@@ -86,7 +86,7 @@ def rows(
 
 
 def _compare(bench: Bench, running: set[Worker], scene: str, method: str, arch: str) -> float:
-    """How far a pair is apart, by a process of its own; raises WorkerFailed.
+    """The distance of a pair, by a process of its own; raises WorkerFailed.
 
     running: has that process while it runs, LONGEST at most.
     """
@@ -126,7 +126,7 @@ def relative(one: np.ndarray, other: np.ndarray) -> float:
 
 
 def positions(scene: str, method: str, arch: str) -> np.ndarray:
-    """Where the particles of a scene are after FRAMES frames, (n, dim)."""
+    """Places of a scene's particles after FRAMES frames, (n, dim)."""
     runtime.start(arch, "f64")
     made = library.build(scene, **GIVEN.get(scene, {}))
     way: dict[str, Any] = {"topology": "graph", "soon": True}

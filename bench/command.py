@@ -86,7 +86,7 @@ def _check_against(python: str, chosen: Sequence[str]) -> None:
 
 
 def _piece(options: BenchOptions, chosen: Sequence[str]) -> Piece:
-    """What is measured at once of the part that has a journal; raises InputError for others."""
+    """The piece that is measured of the part that has a journal; raises InputError for others."""
     for name in ("scenes", "within", "resume"):
         if name in options.given and list(chosen) != [PIECEWISE]:
             raise InputError(f"{flag(name)}: only the part {PIECEWISE} takes it, alone")

@@ -29,7 +29,7 @@ FINER = 16  # the reference's steps are this many times shorter
 
 @dataclass(frozen=True)
 class Piece:
-    """What is measured at once of a part that takes hours, and has a journal.
+    """A piece of a part that takes hours, and has a journal.
 
     scenes: only these, by their keys; none: all. clock: when it has to end. resume: whether it goes
     on with what an earlier piece has finished.

@@ -1,4 +1,4 @@
-"""What runs on Taichi, in the contestants' processes: ours, and kernels of the benchmark's own."""
+"""Contestants on Taichi, in their processes: ours, and kernels of the benchmark's own."""
 
 import functools
 import importlib

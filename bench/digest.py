@@ -112,7 +112,7 @@ def of_session(log: str) -> str:
 
 
 def in_process(words: list[str]) -> None:
-    """What a process of this program prints: `name = digest` a line."""
+    """Print what a process of this program finds: `name = digest` a line."""
     from taichi_cloth import runtime
 
     if words[0] == "pictures":

@@ -1,4 +1,4 @@
-"""How many particles a cell should hold, by precision.
+"""The number of particles that a cell should hold, by precision.
 
 The structural cloth on the grid topology, in parallel. Lanes of 1 take no vectors at all.
 """

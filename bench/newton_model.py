@@ -92,12 +92,12 @@ def model_of(scene: Scene, solver: str = "", contact_stiffness: float = 0.0) -> 
 
 
 def material_of(solver: str) -> str:
-    """What springs of ours are in the numbers of a solver, in words."""
+    """Our springs in the numbers of a solver, in words."""
     return f"material: {PANELS_AS if solver == OF_PANELS else SPRINGS_AS}"
 
 
 def lacking(scene: Scene, solver: str = "") -> str:
-    """What of a scene Newton's models here, or this class of solvers, have not; '': nothing."""
+    """The lacks of Newton's models here, or of this class of solvers, for a scene; '': none."""
     world, springs = scene.world, scene.springs
     rough = ("friction", "restitution")
     lacks = {
@@ -278,7 +278,7 @@ class Stepper:
         return v
 
     def _graph(self, dt: float, steps: int) -> Any:
-        """What replays so many steps from the present state; recording it changes no state."""
+        """A replay of so many steps from the present state; recording it changes no state."""
         key = dt, steps, self._now
         if key not in self._graphs:
             import warp

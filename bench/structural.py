@@ -87,7 +87,7 @@ def measure(bench: Bench) -> Iterator[Measurement]:
 
 
 def _triad(bench: Bench, side: int) -> Iterator[Measurement]:
-    """How fast the machine moves numbers: arrays of the cloth's size, and larger than caches."""
+    """The speed of the machine's memory: arrays of the cloth's size, and larger than caches."""
     numbers = {"the cloth's size": side * side, "64 MiB": 2**24}
     contestants = [
         _enter(

@@ -203,7 +203,7 @@ class Theirs:
         self.at: np.ndarray = self.integrator.simulate(WARP_FRAME, WARP_SUBSTEPS)
 
     def _recording(self) -> Callable[[], None]:
-        """What replays a frame; its positions are those in Warp's own memory."""
+        """A replay of a frame; its positions are those in Warp's own memory."""
         import warp
 
         with warp.ScopedCapture(device="cpu") as capture:

@@ -108,7 +108,7 @@ def rows(
 def ask(
     python: str, scene: str, view: str, size: tuple[int, int], more: tuple[str, ...]
 ) -> dict[str, dict[str, float]] | str:
-    """What a window of a build took, as `window_worker.py` says it; or why it did not open."""
+    """The times of a build's window, as `window_worker.py` says them; or why it did not open."""
     frames = FEW if scene in LONG else FRAMES
     words = [scene, view, f"{size[0]}x{size[1]}", str(frames), *more, *FLAGS.get(scene, ())]
     command = [python, str(WORKER), *words]

@@ -1,1 +1,1 @@
-"""What makes docs/accuracy.md."""
+"""Tables and pictures of docs/accuracy.md."""

@@ -1,4 +1,4 @@
-"""What `docs/accuracy.md` says of each method, measured: orders, damping, costs, long runs, events.
+"""Experiments of `docs/accuracy.md` on each method: orders, damping, costs, long runs, events.
 
 Nothing here knows a method by its name, but the one that others are compared to: the program's own
 default. Errors are measured in f64, in the process of the caller; times in workers of their own.
@@ -170,7 +170,7 @@ def measured_swings(method: str, frequencies: Sequence[float], rate: int = RATE)
 
 
 def _at_rest(oscillator: Scene) -> float:
-    """Where the mass of the scene `oscillator` rests."""
+    """The place where the mass of the scene `oscillator` rests."""
     return float(oscillator.particles.position[0, 0] + oscillator.springs.rest_length[0])
 
 

@@ -52,7 +52,7 @@ def bodies(friction: float) -> Scene:
 
 
 def exact(scene: Scene, friction: float, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where the bodies of a scene are at `times`, (times, n, 2), and when each lands (n,)."""
+    """Places of a scene's bodies at `times`, (times, n, 2), and when each lands (n,)."""
     start = scene.particles.position - FOOT
     height, along = start @ NORMAL - RADIUS, start @ DOWN
     speed = scene.particles.velocity @ DOWN
@@ -84,7 +84,7 @@ def exact(scene: Scene, friction: float, times: np.ndarray) -> tuple[np.ndarray,
 
 
 def _went(speed: np.ndarray, final: float, t: np.ndarray) -> np.ndarray:
-    """How far something has come whose speed tends to `final` as drag has it."""
+    """The way of something whose speed tends to `final` as drag has it."""
     way: np.ndarray = final * t + (speed - final) * (1 - np.exp(-DRAG * t)) / DRAG
     return way
 

@@ -152,7 +152,7 @@ class Cells:
             signal.setitimer(signal.ITIMER_PROF, 0.0)
 
     def cell(self, name: str, method: str, topology: str, exact: str) -> dict[str, Any]:
-        """What becomes of a run: its error in parts of the largest displacement, or why it ended.
+        """The outcome of a run: its error in parts of the largest displacement, or why it ended.
 
         exact: the file of the reference's positions.
         """
@@ -279,7 +279,7 @@ def tasks(journal: Journal, kept: Mapping[str, Any]) -> list[Task]:
 
 
 def finished(name: str, known: Mapping[str, Any], kept: Mapping[str, Any]) -> list[Finished]:
-    """What `matrix` puts into a journal of a scene; known: cells that are finished, by key."""
+    """The results that `matrix` puts into a journal of a scene; known: finished cells, by key."""
     return finished_by(lambda journal: matrix([name], kept=kept, journal=journal), known)
 
 

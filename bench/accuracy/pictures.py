@@ -165,7 +165,7 @@ def _failures(axes: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _band() -> Patch:
-    """What the grey band means, for the legend."""
+    """The meaning of the grey band, for the legend."""
     from matplotlib.patches import Patch
 
     return Patch(color="0.92", label="below what the\nreference can tell")

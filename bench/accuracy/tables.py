@@ -181,7 +181,7 @@ def usable(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
 
 
 def _cheapest(data: Mapping[str, Any]) -> str:
-    """What is cheapest for an error, and what the default costs to be as good."""
+    """The cheapest setting for an error, and what the default costs to be as good."""
     from bench.accuracy.experiments import DEFAULT
 
     rows, floor = usable(data["rows"]), data["floor"]
@@ -320,7 +320,7 @@ def _refused(results: Mapping[str, Any]) -> str:
 
 
 def _scenes(results: Mapping[str, Any]) -> str:
-    """How the scenes of the matrix were run."""
+    """The way the scenes of the matrix were run."""
     lines = []
     for name, of in results["matrix"]["data"].items():
         words = [name, *(f"{flag(k)} {v:g}" for k, v in of["parameters"].items())]

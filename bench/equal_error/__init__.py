@@ -135,14 +135,14 @@ def _takers(bench: Bench, problem: Problem) -> list[Kind]:
 
 
 def _folder(bench: Bench) -> Path:
-    """Where the journal lies."""
+    """The place of the journal."""
     folder = (bench.results or bench.folder) / f"{machine.file_name()}{JOURNAL}"
     prepare_folder(folder, [])
     return folder
 
 
 def _identity(bench: Bench) -> dict[str, str]:
-    """What results are of, beside the scenes, which are in their keys."""
+    """The identity of results, beside the scenes, which are in their keys."""
     packages = (*identity.PACKAGES, *(name for of in PACKAGES.values() for name in of))
     return {
         "command": f"bench {PART}",
@@ -260,7 +260,7 @@ def _best_of(
 
 
 def _other(bench: Bench, entrant: Entrant, tried: Tried) -> _Best | None:
-    """What an entrant has tried, run in the other way."""
+    """The tries of an entrant, run in the other way."""
     kind = entrant.kind.other_way(bench.threads)
     return _Best(entrant.of_kind(kind), tried) if kind else None
 
@@ -331,7 +331,7 @@ def _row(problem: Problem, truth: Truth, level: float, one: _Best) -> Measuremen
 def _ratio(
     problem: Problem, best: dict[tuple[str, float], _Best], level: float
 ) -> Iterator[Measurement]:
-    """How many times as long as ours the best peer takes at a level; none where either lacks.
+    """The factor by which the best peer takes longer than ours at a level; none where either lacks.
 
     Of each the faster way counts; where that of ours is on all cores, one thread has a row, too.
     """

@@ -1,4 +1,4 @@
-"""Who takes part: ours, Newton's and SciPy's solvers, each as something that runs a `Choice`."""
+"""Contestants: ours, Newton's and SciPy's solvers, each as something that runs a `Choice`."""
 
 from __future__ import annotations
 
@@ -54,13 +54,13 @@ class Kind:
 
     @property
     def threads(self) -> int:
-        """How many it runs on."""
+        """The number of its threads."""
         threads: int = self.arguments.get("threads", ALONE)
         return threads
 
     @property
     def material(self) -> str:
-        """What our material is to it, where it takes other numbers."""
+        """Our material in its numbers, where it takes other ones."""
         of_newton = self.package == "newton"
         return newton_model.material_of(self.arguments["solver"]) if of_newton else ""
 
@@ -167,7 +167,7 @@ class Entrant:
     _worker: Worker | None = None
 
     def __call__(self, choice: Choice) -> Tried:
-        """What came of a choice. Raises CannotEnter, or TimeIsUp."""
+        """The outcome of a choice. Raises CannotEnter, or TimeIsUp."""
         kind = self.kind
         of = kind.name, kind.trial, kind.arguments, asdict(choice)
         key = key_of("run", self.problem.digest, *of)

@@ -75,7 +75,7 @@ def chosen(problems: Sequence[Problem], keys: Sequence[str]) -> list[Problem]:
 
 
 def cloth_name(side: int, times: float, damped: bool) -> str:
-    """What tables call `warp`'s scene."""
+    """The name of `warp`'s scene in tables."""
     words = [f"Warp's cloth {side}²", "" if times == 1 else f"{times:g} × k"]
     return ", ".join(filter(None, [*words, "" if damped else "no dashpots"]))
 

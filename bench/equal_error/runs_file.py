@@ -49,7 +49,7 @@ class SearchRun:
 
     @property
     def tried(self) -> Tried:
-        """What the search made of it."""
+        """The result of the search."""
         choice = Choice(self.substeps, self.iterations, self.tolerance)
         failed = "" if self.status == "ok" else self.status
         return Tried(choice, self.error, self.seconds_a_frame, failed)

@@ -86,7 +86,7 @@ class ScipyTrial:
 
 
 def jacobian_pattern(scene: Scene) -> sparse.csr_matrix:
-    """Where the derivative of (v, a) by (x, v) can have entries, (2 n dim, 2 n dim).
+    """The places where the derivative of (v, a) by (x, v) can have entries, (2 n dim, 2 n dim).
 
     A particle's acceleration depends on its own state and on that of those that a spring ties to
     it; on their velocities only where there are dashpots.

@@ -15,7 +15,7 @@ HALVINGS = 2  # of the way between a setting that is too coarse and the next, wh
 
 @dataclass(frozen=True, order=True)
 class Choice:
-    """What is searched over: steps a frame, the solver's iterations in each, or its tolerance.
+    """The space of the search: steps a frame, the solver's iterations in each, or its tolerance.
 
     None: it takes none.
     """

@@ -1,4 +1,4 @@
-"""Where each second of a cold start goes.
+"""Parts of a cold start, second by second.
 
     python -m bench.experiments.compile_cost [SCENE:METHOD ...]
 
@@ -75,7 +75,7 @@ def built(asked):
 
 
 def by_turns(asked):
-    """How many times as long frames take with kernels that are compiled soon, on one thread.
+    """The factor by which frames take longer with kernels compiled soon, on one thread.
 
     The median of pairs of some frames each, by turns, and whether positions end with the same bits.
     """
@@ -98,7 +98,7 @@ def by_turns(asked):
 
 
 def _seconds(sim, frames):
-    """How long a simulation takes for so many frames."""
+    """The time that a simulation takes for so many frames."""
     begin = time.perf_counter()
     sim.advance(frames)
     return time.perf_counter() - begin
@@ -127,13 +127,13 @@ def _watch_kernels():
 
 
 def least(times, asked, flags, checkout=""):
-    """What `started` says of the cheapest of so many starts."""
+    """The words of `started` on the cheapest of so many starts."""
     found = [started(asked, flags, checkout) for _ in range(times)]
     return min(found, key=lambda one: one["seconds"][-1])
 
 
 def started(asked, flags, checkout=""):
-    """What `measure` says of a start in a process of its own; checkout: of another version."""
+    """The words of `measure` on a start in a process of its own; checkout: of another version."""
     with tempfile.TemporaryDirectory() as folder:
         places = {"TI_OFFLINE_CACHE_FILE_PATH": folder, "XDG_CACHE_HOME": folder}
         if checkout:

@@ -1,4 +1,4 @@
-"""What the error meter and its ghost cost of a frame: a run draws with neither, with the meter, and
+"""The cost of the error meter and its ghost: a run draws with neither, with the meter, and
 with both, in turns.
 
     python -m bench.experiments.error_cost --side 128 --view gui

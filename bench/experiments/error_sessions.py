@@ -45,7 +45,7 @@ class Kept(ErrorMeter):
 
 
 def events_of(scene, rng):
-    """What is done in a session, as lines of a log."""
+    """The acts of a session, as lines of a log."""
     x, free = scene.particles.position, np.flatnonzero(~scene.particles.fixed)
     size = np.asarray(scene.world.size)[:2]
     if scene.world.mouse == "blow":

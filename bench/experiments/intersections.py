@@ -1,4 +1,4 @@
-"""How many pairs of triangles intersect: an exact count in double precision, of any positions.
+"""Intersecting pairs of triangles: an exact count in double precision, of any positions.
 
 It shares nothing with what it checks. Two triangles without a common corner intersect where an edge
 of one pierces the other. Where they share one corner, that is asked of the edges opposite to it;

@@ -1,4 +1,4 @@
-"""How much time and error implicit steps take by tolerance, beside explicit ones of the same cloth.
+"""Time and error of implicit steps by tolerance, beside explicit ones of the same cloth.
 
     python -m bench.experiments.rough_solutions [--threads N]
 
