@@ -127,7 +127,7 @@ def _is_still_sphere(obstacle: Obstacle) -> bool:
 
 
 def _add_shapes(builder: Any, scene: Scene, stiffness: float, damping: float) -> None:
-    """What stands still; as Newton takes the mean of both, it has the particles' numbers."""
+    """Things that stand still; as Newton takes the mean of both, they have particles' numbers."""
     import newton
     import warp
 

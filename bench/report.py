@@ -234,7 +234,7 @@ def by_level(rows: Sequence[Measurement]) -> tuple[list[str], list[list[str]]]:
 
 
 def notes(rows: Sequence[Measurement]) -> list[str]:
-    """What errors are measured against, what to know, what was left out, when and with what."""
+    """Notes: the reference of errors, what to know, what was left out, when and with what."""
     said: dict[str, list[str]] = {}
     for row in rows:
         if row.against:

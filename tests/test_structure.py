@@ -204,6 +204,19 @@ def test_kernel_files_keep_their_annotations():
     assert not deferred
 
 
+def test_docstrings_name_the_thing():
+    """They begin with it, or with a verb; 3 begin otherwise."""
+    first = {"What", "Who", "How", "Whether", "Where"}
+    kinds = ast.FunctionDef, ast.ClassDef, ast.Module
+    said = [
+        ast.get_docstring(node) or "."
+        for path in FILES
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, kinds)
+    ]
+    assert len(said) > 3000 and sum(text.split()[0] in first for text in said) <= 5
+
+
 def test_each_file_says_what_it_is_for():
     silent = [str(path) for path in FILES if not ast.get_docstring(ast.parse(path.read_text()))]
     assert not silent

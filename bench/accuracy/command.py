@@ -163,7 +163,7 @@ def _measure_all(
 
 
 def _tasks(parts: Sequence[str], journal: Journal, of_matrix: dict[str, Any]) -> list[Task]:
-    """What other machines can do: all but what is timed, and trades, which see to themselves."""
+    """Parts for other machines: all but what is timed, and trades, which see to themselves."""
     from bench.accuracy import matrix
     from taichi_cloth.sweeps.tasks import Task
 

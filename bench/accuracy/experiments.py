@@ -119,7 +119,7 @@ SMALL, LARGE = 0.01, 50.0  # displacements, of a spring of length 150
 
 @dataclass(frozen=True)
 class Swing:
-    """What a second makes of a vibration: the part of its amplitude that is left, and by which part
+    """The damping of a vibration in a second: the part of its amplitude left, and by which part
     its frequency is too high.
     """
 

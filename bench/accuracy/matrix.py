@@ -1,4 +1,4 @@
-"""What `docs/matrix.md` says: every method on all scenes, on both topologies, in all precisions;
+"""Rows of `docs/matrix.md`: every method on all scenes, on both topologies, in all precisions;
 how wrong each is, or why it does not run.
 
 Each scene has a process for each precision. All cells of a scene are run over the same few frames

@@ -328,7 +328,7 @@ def sorted_w(spec: ti.template(), state: ti.template(), at):
 
 @ti.func
 def _place_of_row(state: ti.template(), low, count, k, stride_bits, axis: ti.template()):
-    """What the coordinate low + k across rows, wrapped, adds to the index of a row's first cell,
+    """The part of the coordinate low + k across rows, wrapped, in the index of a row's first cell,
     and whether k is less than `count`, as 1 or 0.
 
     stride_bits: the binary logarithm of the cells between coordinates.

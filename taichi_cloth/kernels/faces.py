@@ -340,7 +340,7 @@ def _ends(spec: ti.template(), state: ti.template(), o, slot):
 
 @ti.func
 def _meet(spec: ti.template(), state: ti.template(), o, m, piece):
-    """How the step of a piece of triangle m meets obstacle o, as `obstruction.meet` has it of a
+    """The meeting of a piece of triangle m with obstacle o, as `obstruction.meet` has it of a
     particle.
 
     Returns gap, gap_before, part, the shares (3,) of the triangle's corners in its nearest point,
@@ -399,13 +399,13 @@ def _meet(spec: ti.template(), state: ti.template(), o, m, piece):
 
 @ti.func
 def _deep(gap, share, w):
-    """How deep a point is, of such shares (3,) of corners of inverse masses w; 0 if it is fixed."""
+    """The depth of a point of such shares (3,) of corners of inverse masses w; 0 if fixed."""
     return ti.select((share * share).dot(w) > 0.0, -1.0 * gap, 0.0 * gap)
 
 
 @ti.func
 def _room(spec: ti.template(), state: ti.template(), o, slot, radii, side):
-    """How far a triangle of such a side may go into obstacle o before it may be through; and how
+    """The depth of such a triangle in obstacle o before it may be through; and how
     large a gap is rounding."""
     radius = ti.max(radii[0], radii[1], radii[2])
     room = ti.max(radius + state.obstacle_numbers[o, ROUND], LEAST_ROOM * side)

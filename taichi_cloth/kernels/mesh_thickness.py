@@ -70,7 +70,7 @@ def sampled(corners: np.ndarray) -> Samples:
 def badly_met(
     samples: Samples, field: Callable[[np.ndarray], np.ndarray] | None, cell: float, taper: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """How far a mesh is from where a field of distances has it at its samples, (n,), and which of
+    """The error of a field of distances at samples of its mesh, (n,), and which of
     them it does not meet within SHARE of their thickness: lost and rounded, (n,) bool.
 
     field(points): its distances, (n,); None: of a grid that meets all that is thick enough for its

@@ -89,7 +89,7 @@ class Network:
         return other
 
     def once(self, name: str, compute: Callable[[], T]) -> T:
-        """What compute() returns, the first time that it is asked for by this name, of this network
+        """Return compute()'s value, made when this name is first asked for, of this network
         or of one that it was `moved` from: it must depend on no position and no velocity.
         """
         if name not in self._kept:

@@ -1,4 +1,4 @@
-"""What a precision cannot hold of a scene, which is refused, and what it cannot resolve, of which a
+"""Limits of a precision: scenes that it cannot hold are refused; of those not resolved a
 run is warned.
 
 The processor takes numbers below the smallest normal one for zero, so a product that falls below it

@@ -99,7 +99,7 @@ class Engine(Part):
         return str(kept["topology"]) if kept else self._topology_of_others()
 
     def _kept(self, method: str) -> dict[str, Any] | None:
-        """What is kept of a method; None also where it would be made in another topology now, as by
+        """The kept part of a method; None also if it would be made in another topology now, as by
         the replay of a log that knows nothing of frames which a run went back from.
         """
         kept = self._engines.get(method)

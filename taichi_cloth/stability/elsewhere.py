@@ -42,7 +42,7 @@ def _task(scene: Scene, method: str, journal: Journal) -> Task:
 
 
 def measured(scene: Scene, method: str, known: dict[str, Any]) -> list[Finished]:
-    """What `experiment.measure` finds of a method; known: what of it is known already, by key."""
+    """Findings of `experiment.measure` on a method; known: those known already, by key."""
     np.seterr(all="ignore")  # numbers that overflow are the watchdog's to report
     runtime.start("cpu", "f64")
     limits = experiment.computed(method, Network.from_scene(scene))

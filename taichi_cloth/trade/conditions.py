@@ -43,7 +43,7 @@ class RunConditions:
     whole: bool = False
 
     def of_trial(self, process: settings.Process) -> dict[str, Any]:
-        """How a trial in a process of these kinds runs its scene, as its class takes it."""
+        """The way a trial in a process of these kinds runs its scene, as its class takes it."""
         arch, precision, fast_math = process
         return {
             "arch": arch,

@@ -40,7 +40,7 @@ def rank(method: str) -> tuple[int, bool]:
 
 
 def kind_of(method: str) -> int:
-    """How a method takes a step: it is EXPLICIT, makes SWEEPS, or SOLVES the step's equations."""
+    """A method's way of a step: it is EXPLICIT, makes SWEEPS, or SOLVES the equations."""
     from taichi_cloth.kernels import methods
 
     claims = methods.load(method).claims

@@ -248,7 +248,7 @@ def _settings(sim: Simulation, device: str, *, windowed: bool) -> tuple[Word, ..
 
 
 def reset_notice(frames: int) -> str:
-    """What going back to the start does to `--save` and `--export`, which have so many frames."""
+    """The effect of going back to the start on `--save` and `--export` of so many frames."""
     return f"back to the start: the next frame makes files forget {counted(frames, 'frame')}"
 
 

@@ -84,7 +84,7 @@ class Gaps:
 
 
 def gaps(surface: Surface, reach: float | np.ndarray) -> Gaps:
-    """Where borders come nearer to each other than `reach`, one length or one of each vertex."""
+    """Find borders nearer to each other than `reach`, one length or one of each vertex."""
     from scipy.spatial import cKDTree
 
     x = surface.vertices

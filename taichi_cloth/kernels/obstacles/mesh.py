@@ -145,7 +145,7 @@ def _lost(values):
 
 
 def _covers_itself(vertices, faces):
-    """Whether each face lies on others, so that a line crosses the mesh an even number of times."""
+    """Mark faces that lie on others, so that a line crosses the mesh an even number of times."""
     places, place = np.unique(vertices + 0.0, axis=0, return_inverse=True)
     if 2 * len(places) > len(vertices):
         return False

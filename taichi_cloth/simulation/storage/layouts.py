@@ -451,7 +451,7 @@ def _shared_numbers(
     grid_count: int,
     terms: Collection[str],
 ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
-    """What links of a kind and grid share: their numbers by column of `Springs`, (kinds, grids)
+    """Numbers shared by links of a kind and grid: by column of `Springs`, (kinds, grids)
     each, but those that each link has of its own, and `Layout.held`; and the kinds.
 
     A spring with other numbers than most of its kind and grid (their median) gets kind -1.

@@ -95,7 +95,7 @@ def _size(sim: Simulation) -> tuple[float, float]:
 def _entry(
     eye: np.ndarray, along: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> np.ndarray | None:
-    """Where a line of sight comes into a box, or the eye, if it is inside; None: it misses it."""
+    """The entry of a line of sight into a box, or the eye, if inside; None: it misses it."""
     with np.errstate(divide="ignore", invalid="ignore"):
         ends = np.stack([(low - eye) / along, (high - eye) / along])
     ends[np.isnan(ends)] = 0.0
