@@ -405,8 +405,8 @@ def _deep(gap, share, w):
 
 @ti.func
 def _room(spec: ti.template(), state: ti.template(), o, slot, radii, side):
-    """The depth of such a triangle in obstacle o before it may be through; and how
-    large a gap is rounding."""
+    """The depth in obstacle o at which a triangle of such a side may be through; and how large a
+    gap is rounding."""
     radius = ti.max(radii[0], radii[1], radii[2])
     room = ti.max(radius + state.obstacle_numbers[o, ROUND], LEAST_ROOM * side)
     thick = radius + state.obstacle_numbers[o, THIN] + _padding(state, o, radius, side)

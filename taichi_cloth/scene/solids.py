@@ -308,7 +308,7 @@ def goes_through(
 
 
 def _is_split(solid: Solid, a: np.ndarray, b: np.ndarray, time: float) -> np.ndarray:
-    """True if edges from a to b, (m, dim) each, go through the middle of a solid, (m,) bool: what
+    """Mark edges from a to b, (m, dim) each, that go through the middle of a solid, (m,) bool: what
     pushes their one part out of it would push the other the opposite way, as in a plate thinner
     than they are long.
     """

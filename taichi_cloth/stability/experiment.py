@@ -458,8 +458,8 @@ Change = tuple[np.ndarray, Callable[[float], Scene]]
 
 
 def _changes(scene: Scene, columns: int) -> dict[str, Change]:
-    """Numbers that a scene's maps vary, by kind: the stiffness of every spring, and the mass
-    of every second free particle.
+    """Numbers that a scene's maps vary, by kind: the stiffness of every spring, if it has any,
+    and the mass of every second free particle.
     """
     second = np.flatnonzero(~scene.particles.fixed)[::2]
 

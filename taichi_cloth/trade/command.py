@@ -60,8 +60,8 @@ def planned(
     how: RunConditions,
     journal: Journal,
 ) -> tuple[list[settings.Setting], RunConditions]:
-    """The result of `prepare`, or, where a sweep goes on in another time, the settings
-    that were chosen then: else some that are finished would not be among them.
+    """The result of `prepare`, or, where a sweep goes on in another time than it began in, the
+    settings that were chosen then: else some that are finished would not be among them.
     """
     if journal.within == how.clock.seconds:
         return chosen, how

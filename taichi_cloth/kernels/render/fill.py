@@ -1,7 +1,7 @@
 """Triangles, balls and lines put into the pixels of a tile: the nearest thing in each middle.
 
-`colors`, `names`: from a pixel's depth in `near` to its name, and to its colour. `spans`: where the
-columns of the tile's first row stand in it.
+`names`: from a pixel's depth in `near` to its name, and from there to its colour. `spans`: where
+the columns of the tile's first row stand in it.
 """
 
 import taichi as ti
@@ -28,7 +28,7 @@ from taichi_cloth.kernels.render.frame import (
 from taichi_cloth.kernels.render.sight import globe_reach, light
 
 PARTS = 8192.0  # of a level of a channel, in which colours are counted along a row
-CHANNEL = 21  # bits that a channel takes then
+CHANNEL = 21  # bits that a channel takes then, of which 13 are parts of a level
 
 
 @ti.func

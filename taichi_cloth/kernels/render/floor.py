@@ -34,7 +34,7 @@ def _between(dark: ti.template(), u, v):
 
 
 @ti.func
-def floor_light(number: ti.template(), dark: ti.template(), i, j):
+def _floor_light(number: ti.template(), dark: ti.template(), i, j):
     """The floor's light in a pixel (i, j) of `LIT`, by a homography to the cells."""
     w = number[SHADE + 6] * i + number[SHADE + 7] * j + number[SHADE + 8]
     lit = 1.0
@@ -63,8 +63,8 @@ def behind(
             # Light is known at a square's corners, and linear between them.
             left, upper, lower = left0 + square * STRIDE, right_upper, right_lower
             if is_dark:
-                right_upper = floor_light(number, dark, left + STRIDE, top)
-                right_lower = floor_light(number, dark, left + STRIDE, top + STRIDE)
+                right_upper = _floor_light(number, dark, left + STRIDE, top)
+                right_lower = _floor_light(number, dark, left + STRIDE, top + STRIDE)
             begin, end = ti.max(left, first), ti.min(left + STRIDE, last)
             for j in range(ti.max(top, j0), ti.select(square < 0, top, ti.min(top + STRIDE, j1))):
                 light = upper + (j - top) * ((lower - upper) // STRIDE)

@@ -44,8 +44,9 @@ TILE = ROOM + 4  # rows and columns of a tile, tiles across, tiles
 STANDS, FRESH = TILE + 4, TILE + 5  # draw what stands still; write all pixels
 AGAIN = FRESH + 1  # columns and rows to write again: from, to, from, to
 NEXT, WORKERS, WIDTH = AGAIN + 4, AGAIN + 6, AGAIN + 7  # the next tile, twice; threads; of `out`
-# Is 0, which LLVM does not know. Where a loop's step adds it, LLVM neither writes the loop eight
-# times nor makes it one of vectors: as fast, and compiled in half the time.
+# Is 0, which LLVM does not know. Where a loop's step adds it, or a loop that stores nothing would
+# end by it, LLVM neither writes the loop eight times nor makes it one of vectors: as fast, and
+# compiled in half the time.
 ZERO, COUNTS = WIDTH + 1, WIDTH + 2
 
 image = ti.types.ndarray(dtype=ti.i32, ndim=2)

@@ -57,9 +57,7 @@ def _mix(frame: ti.template(), at, color, share):
 
 
 @ti.func
-def _stroke(
-    frame: ti.template(), number: ti.template(), s, width, color, top, bottom, left, right,
-):  # fmt: skip
+def _stroke(frame: ti.template(), number: ti.template(), s, width, color, top, bottom, left, right):
     """Paint what is near a line, from row `top` to before `bottom`, `left` to before `right`."""
     ax, ay, half = number[s, 0], number[s, 1], number[s, 6]
     along, down = number[s, 2] - ax, number[s, 3] - ay
@@ -106,9 +104,7 @@ def _stroke(
 
 
 @ti.func
-def _disc(
-    frame: ti.template(), number: ti.template(), s, width, color, top, bottom, left, right,
-):  # fmt: skip
+def _disc(frame: ti.template(), number: ti.template(), s, width, color, top, bottom, left, right):
     """Paint a disc, as `_stroke` does a line."""
     ax, ay, half = number[s, 0], number[s, 1], number[s, 6]
     reach2, whole2 = (half + DIAGONAL) ** 2, ti.max(half - DIAGONAL, 0.0) ** 2

@@ -69,14 +69,14 @@ def _tile(
         first = ti.min(first, ti.max(count[COUNTS + 2 * row], i0))
         last = ti.max(last, ti.min(count[COUNTS + 2 * row + 1], i1))
     at, veiled = layer * tiles + tile, tiles + tile
-    before_first, before_last, begin, end = box[at, 0], box[at, 1], low, high
-    if layer == 0:  # where things were drawn before, nothing is now
-        begin, end = ti.min(begin, box[at, 2]), ti.max(end, box[at, 3])
+    before = ti.Vector([box[at, 0], box[at, 1], box[at, 2], box[at, 3]])
     box[at, 0], box[at, 1], box[at, 2], box[at, 3] = first, last, low, high
+    begin, end = low, high  # the columns that have nothing, until things are put into them
     if layer == 0:
-        first = ti.min(first, before_first, box[veiled, 0])
-        last = ti.max(last, before_last, box[veiled, 1])
-        begin, end = ti.min(begin, box[veiled, 0]), ti.max(end, box[veiled, 1])
+        first = ti.min(first, before[0], box[veiled, 0])
+        last = ti.max(last, before[1], box[veiled, 1])
+        begin = ti.min(begin, before[2], box[veiled, 0])
+        end = ti.max(end, before[3], box[veiled, 1])
         box[veiled, 0], box[veiled, 1] = ABSENT, -ABSENT
         if count[AGAIN + 2] < j1 and count[AGAIN + 3] > j0:
             first = ti.min(first, ti.max(count[AGAIN], i0))

@@ -63,7 +63,7 @@ def _project(
     v, x: ti.template(), normal: ti.template(), side: ti.template(), number: ti.template(),
     vertex: ti.template(),
 ):  # fmt: skip
-    """Fill in what is seen of a vertex. normal: (0, 3) where there is no surface."""
+    """Fill in what is seen of a vertex. normal: of the first vertices, those of surfaces."""
     place = _turned(number, three(x, 3 * v) - three(number, EYE))
     by_depth = 0.0
     # Written so that what is no number fails.
@@ -147,10 +147,10 @@ def see(
     globe: numbers,
     box: image,
 ):
-    """Compute what is seen of vertices, and where things are; the module says what these are.
+    """Compute what is seen of vertices, and where things are; `frame.py` says what these are.
 
-    kinds: which there are of triangles, balls, lines. side: (n, 2), colours of the vertices' fronts
-    and backs. number, count: as `rasterizer.py` fills them in.
+    kinds: which there are of triangles, balls, lines. x, normal: (3 n,). side: (2 n,), colours of
+    the vertices' fronts and backs. number, count: as `rasterizer.py` fills them in.
     """
     for v in range(count[VERTICES]):
         _project(v, x, normal, side, number, vertex)

@@ -123,7 +123,7 @@ class SpringFilling(Filling):
         self._to.scatter(self.spec, self.state.own, layout.n_packs, near[order], apart, 1)
 
     def _break_marks(self, springs: Springs, indices: np.ndarray) -> None:
-        """Fill in the needs of fracture; indices: (s, 6), ends, half-springs, status, break."""
+        """Fill in what fracture needs; indices: (s, 6), ends, half-springs, status, break step."""
         state = self.state
         self._to.put(state.n_springs, len(springs))
         self._to.put(state.ends, indices[:, :2])
